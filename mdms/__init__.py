@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from bus.errors import BusError
-    from bus.lattice import Lattice
+    from bus.lattice import SIDES, Lattice
+    from bus.spec import Finite, NotNegative, Positive, Spec, Vector
     from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs
-    from cell_firmware.errors import FirmwareError
-    from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, Outbox, Outputs
+    from cell_firmware.errors import FirmwareError, ParametersError, Problem
+    from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, Outbox, Outputs, State
     from cell_firmware.program import NoParameters, Program, Theory
     from deploy.errors import DeployError, InputError
     from deploy.recordings.reader import CellTrace, ParcelTrace, Recording
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from plant.tick import TickHooks, TickRecord
 
 __all__ = [
+    "SIDES",
     "BusError",
     "Cell",
     "CellFirmware",
@@ -48,6 +50,7 @@ __all__ = [
     "CellsBackend",
     "DeployError",
     "Event",
+    "Finite",
     "Firmware",
     "FirmwareError",
     "InProcess",
@@ -56,22 +59,29 @@ __all__ = [
     "Inputs",
     "Lattice",
     "NoParameters",
+    "NotNegative",
     "Outbox",
     "Outputs",
+    "ParametersError",
     "ParcelStatus",
     "ParcelTrace",
     "Plant",
     "PlantError",
     "PlantSpec",
+    "Positive",
+    "Problem",
     "Program",
     "Recording",
     "RunResult",
     "Scene",
     "SceneError",
     "Simulation",
+    "Spec",
+    "State",
     "Theory",
     "TickHooks",
     "TickRecord",
+    "Vector",
     "Workers",
     "load_recording",
     "load_scene",
@@ -80,10 +90,11 @@ __all__ = [
 
 _MODULES: Final = {
     "bus.errors": ("BusError",),
-    "bus.lattice": ("Lattice",),
+    "bus.lattice": ("Lattice", "SIDES"),
+    "bus.spec": ("Finite", "NotNegative", "Positive", "Spec", "Vector"),
     "cell_firmware.cell": ("Cell", "CellFirmware", "CellInputs", "CellOutputs"),
-    "cell_firmware.errors": ("FirmwareError",),
-    "cell_firmware.firmware": ("Cells", "Firmware", "Inbox", "Inputs", "Outbox", "Outputs"),
+    "cell_firmware.errors": ("FirmwareError", "ParametersError", "Problem"),
+    "cell_firmware.firmware": ("Cells", "Firmware", "Inbox", "Inputs", "Outbox", "Outputs", "State"),
     "cell_firmware.program": ("NoParameters", "Program", "Theory"),
     "deploy.errors": ("DeployError", "InputError"),
     "deploy.recordings.reader": ("CellTrace", "ParcelTrace", "Recording", "load_recording=load"),

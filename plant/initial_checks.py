@@ -37,8 +37,12 @@ def check_standing(spec: PlantSpec, solver: Solver, cells: int) -> None:
         if not solver.find_supports(i, driven):
             raise PlantError(
                 f"{_place(spec, i, body.state)}: the parcel would tip: its centre of mass lies outside "
-                f"the {under} cells under it"
+                f"the {_counted(under)} under it"
             )
+
+
+def _counted(cells: int) -> str:
+    return "one cell" if cells == 1 else f"{cells} cells"
 
 
 def check_places(spec: PlantSpec, state: Floats, overlaps: OverlapDetector, traffic: Traffic | None) -> None:

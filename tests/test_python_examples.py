@@ -62,6 +62,30 @@ def test_importing_the_package_imports_nothing_heavy(tmp_path: Path) -> None:
     assert done.stdout == "[]\n"
 
 
+def test_a_cell_s_program_that_imports_the_package_loads_no_more_than_the_package_itself(
+    tmp_path: Path,
+) -> None:
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert code is not None
+    assert "from mdms import" in code[1]
+    (tmp_path / "public.py").write_text(code[1])
+    (tmp_path / "internal.py").write_text(
+        code[1].replace("from mdms import", "from cell_firmware.cell import")
+    )
+    load = (
+        "import sys\n"
+        "from cell_firmware.loader import load\n"
+        "from cell_firmware.specs import CellsSpec\n"
+        "load(CellsSpec(firmware='NAME.py'))\n"
+        "print(*(name for name in sys.modules if not name.startswith('mdms_firmware_')))"
+    )
+    internal, public = (
+        set(_python(load.replace("NAME", name), tmp_path).stdout.split()) for name in ("internal", "public")
+    )
+    assert "cell_firmware.cell" in internal
+    assert public - internal == {"mdms"}
+
+
 @pytest.mark.parametrize("name", ["deploy", "plant"])
 def test_a_folder_of_the_same_name_is_refused_in_a_line(name: str, tmp_path: Path) -> None:
     (tmp_path / name).mkdir()
@@ -81,6 +105,15 @@ def test_the_command_works_beside_folders_of_the_same_names(tmp_path: Path) -> N
         cwd=tmp_path, capture_output=True, text=True, check=False, timeout=110,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+
+
+def test_the_package_is_the_command(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "mdms", "--version"],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, check=False, timeout=110,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout[:5]) == (0, "mdms ")
 
 
 def test_objects_say_what_they_are_and_travel() -> None:

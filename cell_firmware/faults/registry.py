@@ -24,10 +24,8 @@ from cell_firmware.faults.kinds.sensor_flip import SensorFlipFault
 from cell_firmware.faults.kinds.sensor_stuck import SensorStuckFault
 from cell_firmware.faults.kinds.slow_clock import SlowClockFault
 
-AnyCellFault = (
-    CrashedCellFault
-    | RemovedCellFault
-    | HangFault
+CellOnlyFault = (
+    HangFault
     | RebootFault
     | SlowClockFault
     | SensorStuckFault
@@ -44,5 +42,8 @@ AnyCellFault = (
     | LieFault
     | PartitionFault
 )
+"""Kinds that act in cells alone; a new one is a module and a line here."""
+
+AnyCellFault = CrashedCellFault | RemovedCellFault | CellOnlyFault
 
 CELL_FAULTS: Final[TypeAdapter[Any]] = TypeAdapter(Annotated[AnyCellFault, Field(discriminator="kind")])

@@ -1,4 +1,4 @@
-"""Registry of all fault kinds; a new kind is a module and a line here."""
+"""Registry of all fault kinds; a new kind that acts in the plant too is a module and a line here."""
 
 from __future__ import annotations
 
@@ -7,22 +7,7 @@ from typing import Annotated, Final, get_args
 
 from pydantic import BeforeValidator, Field
 
-from cell_firmware.faults.kinds.babble import BabbleFault
-from cell_firmware.faults.kinds.hang import HangFault
-from cell_firmware.faults.kinds.lie import LieFault
-from cell_firmware.faults.kinds.link_bandwidth import LinkBandwidthFault
-from cell_firmware.faults.kinds.link_corrupt import LinkCorruptFault
-from cell_firmware.faults.kinds.link_delay import LinkDelayFault
-from cell_firmware.faults.kinds.link_down import LinkDownFault
-from cell_firmware.faults.kinds.link_duplicate import LinkDuplicateFault
-from cell_firmware.faults.kinds.link_loss import LinkLossFault
-from cell_firmware.faults.kinds.link_reorder import LinkReorderFault
-from cell_firmware.faults.kinds.partition import PartitionFault
-from cell_firmware.faults.kinds.reboot import RebootFault
-from cell_firmware.faults.kinds.sensor_delay import SensorDelayFault
-from cell_firmware.faults.kinds.sensor_flip import SensorFlipFault
-from cell_firmware.faults.kinds.sensor_stuck import SensorStuckFault
-from cell_firmware.faults.kinds.slow_clock import SlowClockFault
+from cell_firmware.faults.registry import CellOnlyFault
 from deploy.faults.crash import CrashFault
 from deploy.faults.modules import AddFault, RemoveFault
 from plant.faults.kinds.wheel_reversed import WheelReversedFault
@@ -33,28 +18,13 @@ from plant.tagged import tagged
 
 AnyFault = (
     CrashFault  # the default
-    | HangFault
-    | RebootFault
-    | SlowClockFault
     | RemoveFault
     | AddFault
     | WheelStuckFault
     | WheelWeakFault
     | WheelReversedFault
     | WheelRunawayFault
-    | SensorStuckFault
-    | SensorFlipFault
-    | SensorDelayFault
-    | LinkDownFault
-    | LinkLossFault
-    | LinkDelayFault
-    | LinkDuplicateFault
-    | LinkReorderFault
-    | LinkCorruptFault
-    | LinkBandwidthFault
-    | BabbleFault
-    | LieFault
-    | PartitionFault
+    | CellOnlyFault
 )
 
 DEFAULT: Final = "crash"

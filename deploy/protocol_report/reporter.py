@@ -67,7 +67,7 @@ class Reporter:
         self._every = every
         self.observed = DRIVE if firmware.observable is None else firmware.observable
         if firmware.observable is None:
-            self.notes.append("the program declares no field (observed): its drives are shown")
+            self.notes.append("the program declares no field (observable): its drives are shown")
         self.theory = self._theory(firmware)
         limit = None if self.theory is None or self.theory.limit is None else _rows(self.theory.limit)
         if limit is not None and len(limit) != len(lattice):

@@ -27,6 +27,7 @@ from deploy.recordings.format import (
     Header,
 )
 from deploy.recordings.trace import RunTrace, mask_absent
+from deploy.util.formatting import plural
 
 
 @final
@@ -192,7 +193,7 @@ class Recording:
 
     def __repr__(self) -> str:
         seconds = float(self.time_s[-1]) if len(self.tick) else 0.0
-        size = f"{len(self.header['cells'])} cells, {self.parcels.shape[1]} parcels"
+        size = f"{plural(len(self.header['cells']), 'cell')}, {plural(self.parcels.shape[1], 'parcel')}"
         return f"<Recording of {self.header['scene_name']}: {seconds:g} s, {size}, {self.status}>"
 
     def run_trace(self) -> RunTrace:

@@ -10,6 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from cell_firmware.board_presets import expand_preset
@@ -101,13 +102,25 @@ def parse_scene(
 
 
 def _with_names(scene: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy the tables of a scene, a firmware that is given as an object replaced by its name."""
+    """Copy the tables of a scene: a firmware's name in place of the object, plain numbers in place of NumPy's."""
     data = dict(scene)
     if isinstance(data.get("cells"), dict) and not isinstance(data["cells"].get("firmware", ""), str):
         from cell_firmware.loader import name_of
 
         data["cells"] = {**data["cells"], "firmware": name_of(data["cells"]["firmware"])}
-    return copy.deepcopy(data)
+    return {key: _plain(value) for key, value in data.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Copy a value of a scene, with Python's numbers and lists in place of NumPy's."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in cast("dict[Any, Any]", value).items()}
+    if isinstance(value, list | tuple):
+        inner = [_plain(each) for each in cast("Sequence[Any]", value)]
+        return inner if isinstance(value, list) else tuple(inner)
+    if isinstance(value, np.generic | np.ndarray):
+        return cast("Any", value).tolist()
+    return copy.deepcopy(value)
 
 
 def _validated(data: dict[str, Any], name: str, overrides: Sequence[Override]) -> Scene:

@@ -53,7 +53,9 @@ class Override:
             raise InputError(f"{option}: must be KEY=VALUE")
         parts = [part.strip() for part in key.split(".")]
         if not all(_KEY.fullmatch(part) for part in parts):
-            raise InputError(f"{option}: the key must be names and numbers with dots between them")
+            raise InputError(
+                f"{option}: the key must be names and numbers with dots between them, as parcels.0.mass_kg"
+            )
         path = tuple(int(part) if part.isascii() and part.isdigit() else part for part in parts)
         return cls(path, _parse_value(value.strip(), option), option)
 

@@ -23,12 +23,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         name = code.splitlines()[0].removeprefix("# ")
         (tmp_path / name).write_text(code, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
     return tmp_path
 
 
 def test_the_trial_prints_what_the_page_says(folder: Path, capsys: pytest.CaptureFixture[str]):
     exec(compile(TRIAL, "docs/firmware.md", "exec"), {})
-    said = re.findall(r"# (\[.*\])$", TRIAL, re.MULTILINE)
+    said = re.findall(r"  # (\(.*)$", TRIAL, re.MULTILINE)
+    assert len(said) == 2
     assert capsys.readouterr().out.splitlines() == said
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -24,6 +26,11 @@ ALL = {name: law for name, law in LAWS.items() if name != "sliding"}
 def drive(plant: Plant, vx: float, vy: float = 0.0) -> Floats:
     """The same speed of all wheels."""
     return np.tile([vx, vy], (len(plant.array), 1))
+
+
+def test_every_law_that_a_scene_can_ask_for_is_tested() -> None:
+    laws = get_args(get_args(FrictionSpec)[0])
+    assert {type(law) for law in LAWS.values()} == set(laws)
 
 
 # --- Coulomb ------------------------------------------------------------------------------------------------------

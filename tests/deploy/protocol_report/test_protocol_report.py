@@ -250,7 +250,7 @@ def test_a_program_that_names_no_field_is_shown_by_its_drives(plain: str, tmp_pa
     report = reported(scene(0.1, {}, cells__firmware=f"{plain}:Unnamed"), tmp_path).protocol
     assert report is not None
     assert (report.observed, report.ticks, report.last_change_tick) == ("drive", 25, 0)
-    assert report.notes == ("the program declares no field (observed): its drives are shown",)
+    assert report.notes == ("the program declares no field (observable): its drives are shown",)
 
 
 def test_a_limit_of_another_array_is_left_out(plain: str, tmp_path: Path) -> None:

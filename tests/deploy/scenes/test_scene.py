@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
@@ -29,6 +30,16 @@ def test_the_bundled_elliptic_scene_says_what_the_documentation_says() -> None:
     assert (parcel.size_m, parcel.mass_kg) == ((0.54, 0.32), 2.0)
     assert (parcel.position_m, parcel.angle_rad) == ((0.55, 0.5), 0.9)
     assert (scene.friction.coefficient_s_per_m, scene.solver.tolerance) == (0.2, 1e-9)
+
+
+def test_a_dict_may_hold_numbers_and_arrays_of_numpy() -> None:
+    tables = tomllib.loads(SHORT)
+    plain = load_scene(tables)
+    tables["duration_s"] = np.float64(1.0)
+    tables["array"] = {"rows": np.int64(2), "columns": np.uint8(3)}
+    tables["cells"]["parameters"]["field"]["velocity_m_s"] = np.array([0.1, 0.0])
+    assert load_scene(tables) == plain
+    assert isinstance(tables["array"]["rows"], np.int64)  # the caller's dict is left as it is
 
 
 def test_the_prototype_has_eighteen_cells_with_cell_0_0_among_them_and_motors() -> None:
