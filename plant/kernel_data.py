@@ -194,7 +194,8 @@ class SensorCover:
         self._sensors_m = array.sensors_m
         self._reach = array.sensor_reach_m
         still: Floats = np.zeros((len(array), 2))
-        self._surface = Surface(array.positions_m, array.grid, still, still, still[:, 0])
+        # not a column of ``still``: that of one cell is contiguous and others are not, two types to numba
+        self._surface = Surface(array.positions_m, array.grid, still, still, np.zeros(len(array)))
 
     def mark(self, parcels: Parcels, indices: NDArray[np.int64], bits: NDArray[np.bool_]) -> None:
         """Set the presence bits ``(n, sensors)`` under those of the parcels."""

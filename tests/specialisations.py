@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ Signatures = Mapping[str, Iterable[str]]
 
 TICK_NS = 1_000_000
 PROCESSES = 2
-"""That compile side by side: no more, so that they don't crowd out each other's memory."""
+"""Compilers side by side; more would crowd out each other's memory."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ SPECIALISATIONS = (
 
 
 def chosen(expression: str) -> list[Specialisation]:
-    """Those that tests need which a ``-m`` expression chooses, in the order in which they are begun."""
+    """Specialisations that the tests of a ``-m`` expression need, in the order in which they are begun."""
     needed = [one for one in SPECIALISATIONS if one.needed is None or f"not {one.needed}" not in expression]
     included = {one.includes for one in needed}
     # those of the slow tier last, so that no other finds in its process what only they need
@@ -141,15 +142,19 @@ def _entry_points() -> Iterator[tuple[str, Any]]:
                 yield f"{value.py_func.__module__}.{value.py_func.__qualname__}", value
 
 
-def _note(one: Specialisation) -> Path:
-    """Where the argument types of a specialisation are noted that is on disk, for these very kernels."""
-    from plant.kernels.common import cache
+@cache
+def _texts(folder: Path) -> str:
+    """Hash of all modules in a folder. Comments count: numba compares the text of a file that holds an entry point."""
+    texts = [path.read_bytes() for path in sorted(folder.rglob("*.py"))]
+    return hashlib.sha256(b"\0".join(texts)).hexdigest()
 
-    digest = hashlib.sha256(json.dumps(asdict(one)).encode())
-    # comments count: numba compares the text of a file that holds an entry point
-    for path in sorted(cache.KERNELS.rglob("*.py")):
-        digest.update(path.read_bytes() + b"\0")
-    return cache.folder()[0] / "used_by_tests" / f"{one.name}-{digest.hexdigest()[:16]}.json"
+
+def _note(one: Specialisation) -> Path:
+    """File that notes the argument types of a specialisation on disk, for the plant as it is, which decides them."""
+    from plant.kernels.common.cache import KERNELS, folder
+
+    digest = hashlib.sha256(f"{json.dumps(asdict(one))} {_texts(KERNELS.parent)}".encode())
+    return folder()[0] / "used_by_tests" / f"{one.name}-{digest.hexdigest()[:16]}.json"
 
 
 def lasting() -> bool:
@@ -160,7 +165,7 @@ def lasting() -> bool:
 
 
 def missing(needed: Sequence[Specialisation]) -> list[Specialisation]:
-    """Those that are not known to be on disk."""
+    """Specialisations that are not known to be on disk."""
     return [one for one in needed if not _note(one).exists()]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
@@ -74,14 +73,23 @@ def test_touching_parcels_call_every_entry_point_of_contacts(monkeypatch: pytest
     assert called == points.keys()
 
 
-def test_a_note_is_of_one_entry_and_of_the_kernels_texts(
+def test_a_note_is_of_one_entry_and_of_the_plants_texts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copytree(cache.KERNELS, tmp_path / "kernels")
+    def notes() -> list[Path]:
+        specialisations._texts.cache_clear()
+        return [specialisations._note(one) for one in SPECIALISATIONS]
+
     monkeypatch.setattr(cache, "KERNELS", tmp_path / "kernels")
-    notes = [specialisations._note(one) for one in SPECIALISATIONS]
-    assert len(set(notes)) == len(notes)
-    assert [specialisations._note(one) for one in SPECIALISATIONS] == notes
-    with (tmp_path / "kernels" / "exact" / "block.py").open("a") as file:
-        file.write("# a comment\n")
-    assert not set(notes) & {specialisations._note(one) for one in SPECIALISATIONS}
+    (tmp_path / "kernels").mkdir()
+    files = tmp_path / "kernels" / "block.py", tmp_path / "plant.py"
+    for file in files:
+        file.write_text("a = 1\n")
+    before = notes()
+    assert len(set(before)) == len(before)
+    assert notes() == before
+    for file in files:
+        file.write_text("a = 1  # a comment\n")
+        assert not set(notes()) & set(before)
+        file.write_text("a = 1\n")
+        assert notes() == before

@@ -30,7 +30,7 @@ KERNELS = Path(__file__).parents[1]
 """All kernels."""
 
 TEXTS = "texts"
-"""Where a folder lists the texts that it is the one for: an empty file named after each set's hash."""
+"""Subfolder with an empty file for each set of texts that the folder is the one for, named after their hash."""
 
 
 def key() -> str:
