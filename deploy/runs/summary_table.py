@@ -36,7 +36,7 @@ def print_summary(summary: Summary, console: Console) -> None:
         (summary.scene, "bold"), "  ", (summary.status, _STYLES.get(summary.status, "bold red"))
     )
     if summary.reason:
-        heading.append(f"  {summary.reason}")
+        heading.append(f"  {summary.reason.removeprefix(f'{summary.status} ')}")
     console.print(heading)
     console.print(_facts(_lines(summary)))
     if summary.protocol is not None:

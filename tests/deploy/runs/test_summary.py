@@ -156,6 +156,11 @@ def test_the_table_says_why_a_run_did_not_end_well() -> None:
     assert "cell 3,4 gave no drive for tick 17" in text
 
 
+def test_the_status_is_not_repeated_by_the_reason() -> None:
+    text = printed(summary(status="interrupted", reason="interrupted at 2 s of simulated time"))
+    assert "interrupted  at 2 s of simulated time" in text
+
+
 def test_many_parcels_are_counted_by_state() -> None:
     parcels = [ParcelOutcome.of(np.zeros(6), "at_rest" if i % 5 else "tipped", 0.0) for i in range(50)]
     assert "40 at rest, 10 tipped" in printed(summary(parcels=parcels))
