@@ -116,7 +116,10 @@ def test_supports_on_a_line_or_point_carry_what_stands_on_it_and_name_what_does_
     )
     array = {"rows": count if slanting else 1, "columns": count, "cells": cells}
     if not stands:
-        with pytest.raises(PlantError, match=f"would tip: its centre of mass lies outside the {count} cells"):
+        under = "one cell" if count == 1 else f"{count} cells"
+        with pytest.raises(
+            PlantError, match=f"would tip: its centre of mass lies outside the {under} under it"
+        ):
             solver.plant(body, **array)
         return
     plant = solver.plant(body, **array)

@@ -100,6 +100,6 @@ def test_other_arguments_and_a_folder_in_use_are_bad_input(
     assert main(["campaign", "--resume", str(whole), "--seeds", "4"]) == 2
     assert "--seeds 4: the campaign has 3" in capsys.readouterr().err
     assert main(["campaign", str(scene), "--output", str(whole)]) == 2
-    assert f"--resume {whole} goes on with it" in capsys.readouterr().err
+    assert f"--resume {whole} resumes it" in capsys.readouterr().err
     assert main(["campaign"]) == 2
     assert main(["campaign", "--resume", str(whole), "--output", "elsewhere"]) == 2

@@ -134,7 +134,7 @@ def test_a_killed_plant_is_taken_up_again_and_killed_again(tmp_path: Path) -> No
     ("change", "told"),
     [
         ({"bound": {"numpy": "0"}}, r"changed since the run began: .*numpy \(then 0, now "),
-        ({"recorded": {"/tick": 10_000}}, "lacks .* messages of /tick"),
+        ({"recorded": {"/tick": 10_000}}, "ends before the checkpoint: .* messages of /tick"),
     ],
 )
 def test_what_it_can_not_go_on_from_is_refused_before_anything_is_lost(
