@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import pytest
@@ -27,10 +30,22 @@ from tests.tools.trace_tick import (
 )
 
 
+Traced = Callable[..., Any]
+"""Calls a function in a process of its own: the profile function would see all that a process of many tests holds."""
+
+
+@pytest.fixture(scope="module")
+def traced() -> Iterator[Traced]:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        yield lambda trace, *arguments: pool.submit(trace, *arguments).result(100.0)
+
+
 @pytest.mark.parametrize("wire", WIRES)
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_a_message_passes_ten_files_and_a_drive_fifteen(program: str, wire: WireFormat) -> None:
-    message, drive = message_and_drive(program, wire)
+def test_a_message_passes_ten_files_and_a_drive_fifteen(
+    traced: Traced, program: str, wire: WireFormat
+) -> None:
+    message, drive = traced(message_and_drive, program, wire)
     assert (message.limit, drive.limit) == (10, 15)
     assert len(message.files) <= message.limit, message.paths
     assert len(drive.files) <= drive.limit, drive.paths
@@ -48,8 +63,8 @@ def test_a_message_passes_ten_files_and_a_drive_fifteen(program: str, wire: Wire
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS.keys() - {"add"}))
-def test_a_live_fault_passes_fifteen_files_and_never_climbs(kind: str) -> None:
-    route = live_fault(kind)
+def test_a_live_fault_passes_fifteen_files_and_never_climbs(traced: Traced, kind: str) -> None:
+    route = traced(live_fault, kind)
     assert route.limit == 15
     assert len(route.files) <= route.limit, route.paths
     assert route.climbs == [], route.paths
@@ -78,19 +93,24 @@ def test_a_path_that_climbs_is_seen() -> None:
         assert route.climbs == climbs
 
 
-def test_a_call_from_a_lower_package_into_deploy_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cells of a run once called back into ``deploy`` to decode a fault."""
+def through_deploy() -> Route:
+    """The route of a fault whose cells call back into ``deploy``, as they once did to decode it."""
     from cell_firmware.shard import Shard
     from deploy.scenes.errors import shown
 
     inject = Shard.inject
 
-    def through_deploy(self: Shard, fault: Any, site: Any, lattice: Any) -> None:
+    def inject_through_deploy(self: Shard, fault: Any, site: Any, lattice: Any) -> None:
         shown(str(fault.fault))
         inject(self, fault, site, lattice)
 
-    monkeypatch.setattr(Shard, "inject", through_deploy)
-    route = live_fault("hang")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Shard, "inject", inject_through_deploy)
+        return live_fault("hang")
+
+
+def test_a_call_from_a_lower_package_into_deploy_is_seen(traced: Traced) -> None:
+    route = traced(through_deploy)
     assert set(route.calls_up) == {"deploy/scenes/errors.py"}
     assert "deploy/scenes/errors.py" in route.climbs
 
