@@ -29,7 +29,6 @@ from tests.tools.trace_tick import (
     message_and_drive,
 )
 
-
 Traced = Callable[..., Any]
 """Calls a function in a process of its own: the profile function would see all that a process of many tests holds."""
 
