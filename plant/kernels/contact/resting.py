@@ -8,7 +8,7 @@ from typing import Final
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
-from plant.kernels.contact.impulses import leaving, settle, sliding
+from plant.kernels.contact.impulses import UNSETTLED, leaving, settle, sliding
 from plant.kernels.contact.manifold import build_rows, move_row
 
 KEEP_M: Final = 0.5 * to.TOUCH_M
@@ -94,7 +94,7 @@ def hold(group, before, states, step, friction, work):
     for i in range(states.shape[0]):
         for k in range(3):
             motion[i, k] = states[i, 3 + k]
-    if not settle(rows, ends, count, group.inverse, motion):
+    if settle(work, count, group.inverse, motion) > UNSETTLED:
         return to.NOT_SETTLED
     for i in range(states.shape[0]):
         for k in range(3):
@@ -163,7 +163,7 @@ def part(group, before, states, work):
         for i in range(states.shape[0]):
             for k in range(3):
                 shift[i, k] = 0.0
-        if not settle(rows, ends, count, group.inverse, shift):
+        if settle(work, count, group.inverse, shift) > UNSETTLED:
             # parcels that hold each other all round may ask for what can't be: their slip is let go
             for p in range(work.held.shape[0]):
                 work.held[p] = 0
