@@ -8,7 +8,7 @@ from typing import Final
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
-from plant.kernels.contact.impulses import UNSETTLED, leaving, settle
+from plant.kernels.contact.impulses import ACCEPTED, UNSETTLED, leaving, settle
 from plant.kernels.contact.manifold import build_rows, move_row
 from plant.kernels.contact.resting import part
 
@@ -41,7 +41,7 @@ def strike(group, work, count, before, restitution, friction, after):
         closing = -leaving(row, before[ends[n, 0]], before[ends[n, 1]])
         row[to.WANTED] = restitution * closing if closing > group.slow else 0.0
         row[to.FRICTION] = friction
-    return settle(work, count, group.inverse, after) <= UNSETTLED
+    return settle(work, count, group.inverse, after, ACCEPTED) <= UNSETTLED
 
 
 @kernel

@@ -26,7 +26,7 @@ from plant.kernels.contact.problem import (
 SOLVED: Final = 1e-13
 """Error of a problem's solution, over the fastest motion, at which the search ends."""
 ACCEPTED: Final = 1e-12
-"""Error above which another attempt is made."""
+"""Error of velocities above which another attempt is made."""
 UNSETTLED: Final = 1e-9
 """Error above which a problem counts as not solved."""
 TOO_LARGE: Final = 1.0
@@ -53,7 +53,7 @@ def sliding(row, u, v):
 
 
 @kernel
-def settle(work, count, inverse, motion):
+def settle(work, count, inverse, motion, accepted):
     """Solve the contact problems of all islands, and change ``motion`` by their impulses.
 
     Args:
@@ -61,6 +61,7 @@ def settle(work, count, inverse, motion):
         count: how many rows.
         inverse: ``(b, 2)`` one over mass and over moment of inertia; 0, 0 for what can't be moved.
         motion: ``(b, 3)`` along x, along y, turning; changed in place.
+        accepted: error, over the fastest motion, above which another attempt is made.
 
     Returns:
         The largest error left in an island, over the island's fastest motion.
@@ -82,7 +83,7 @@ def settle(work, count, inverse, motion):
         scale = assemble(work.rows, work.ends, points, faces, motion, island)
         if scale > 0.0:
             assemble_matrix(points + faces, inverse, island)
-            error = solve_island(points, faces, SOLVED * scale, ACCEPTED * scale, island)
+            error = solve_island(points, faces, SOLVED * scale, accepted * scale, island)
             apply_impulses(points + faces, inverse, motion, island)
             worst = max(worst, error / scale)
     return worst
