@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -18,12 +19,13 @@ ROOT = Path(__file__).resolve().parents[1]
 def collected(*arguments: str) -> list[str]:
     """Tests that pytest would run."""
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--collect-only", "-q", *arguments],
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", *arguments],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=True,
         timeout=60,
+        env={**os.environ, "PYTEST_ADDOPTS": "-p no:cacheprovider"},  # whose options decide what is printed
     )
     return [line for line in done.stdout.splitlines() if "::" in line]
 
