@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +127,80 @@ class Group(NamedTuple):
         return self._replace(moving=self.moving[self.moving != body], inverse=inverse, still=still)
 
 
+class ImpulseWorkspace(NamedTuple):
+    """Contact problem of one island; see ``plant.kernels.contact.problem``. ``c`` constraints, ``f`` faces.
+
+    Attributes:
+        leader: smallest body of each body's island, ``(b,)``.
+        row: rows of the island, ``(2 f,)``.
+        face: face of each row, ``(2 f,)``.
+        bodies: both bodies of each constraint, ``(c, 2)``.
+        arms: unit impulse of each constraint on both bodies, force and moment, ``(c, 6)``.
+        lacking: motion along each constraint without impulses, less the motion wanted, ``(c,)``.
+        friction: Coulomb's coefficient of each face, ``(f,)``.
+        held: nonzero where the tangent's motion is given whatever it takes, ``(f,)``.
+        matrix: motion along each constraint per unit impulse along each, ``(c, c)``, 1/kg.
+        mode: mode of each constraint, ``(c,)``.
+        index: constraints with unknown impulses, ``(c,)``.
+        last: scratch of the elimination, ``(2, c)``.
+        system: linear system of the modes, ``(c, c)``.
+        push: normal impulse of each face, ``(f,)``.
+        impulse, start, trial, best, motion, solution: ``(c,)`` each.
+    """
+
+    leader: Integers
+    row: Integers
+    face: Integers
+    bodies: Integers
+    arms: Floats
+    lacking: Floats
+    friction: Floats
+    held: Integers
+    matrix: Floats
+    mode: Integers
+    index: Integers
+    last: Integers
+    system: Floats
+    push: Floats
+    impulse: Floats
+    start: Floats
+    trial: Floats
+    best: Floats
+    motion: Floats
+    solution: Floats
+
+
+CAPACITY: Final = 3000
+"""Most constraints of an island: matrices are dense."""
+
+
+def make_impulse_workspace(pairs: int, bodies: int) -> ImpulseWorkspace:
+    """Allocate the workspace of islands of at most so many pairs; pages that no island reaches cost nothing."""
+    size = min(3 * pairs, CAPACITY)
+    return ImpulseWorkspace(
+        leader=np.zeros(bodies, dtype=np.int64),
+        row=np.zeros(2 * pairs, dtype=np.int64),
+        face=np.zeros(2 * pairs, dtype=np.int64),
+        bodies=np.zeros((size, 2), dtype=np.int64),
+        arms=np.zeros((size, 6)),
+        lacking=np.zeros(size),
+        friction=np.zeros(pairs),
+        held=np.zeros(pairs, dtype=np.int64),
+        matrix=np.zeros((size, size)),
+        mode=np.zeros(size, dtype=np.int64),
+        index=np.zeros(size, dtype=np.int64),
+        last=np.zeros((2, size), dtype=np.int64),
+        system=np.zeros((size, size)),
+        push=np.zeros(pairs),
+        impulse=np.zeros(size),
+        start=np.zeros(size),
+        trial=np.zeros(size),
+        best=np.zeros(size),
+        motion=np.zeros(size),
+        solution=np.zeros(size),
+    )
+
+
 class ContactWorkspace(NamedTuple):
     """Workspace of the kernels for one group; see ``plant.kernels.contact.layout``.
 
@@ -139,6 +213,7 @@ class ContactWorkspace(NamedTuple):
         first: ``(b, 3)``.
         second: ``(b, 3)``.
         third: ``(b, 3)``.
+        impulses: workspace of the contact problems.
     """
 
     rows: Floats
@@ -149,6 +224,7 @@ class ContactWorkspace(NamedTuple):
     first: Floats
     second: Floats
     third: Floats
+    impulses: ImpulseWorkspace
 
 
 def make_workspace(group: Group) -> ContactWorkspace:
@@ -161,6 +237,7 @@ def make_workspace(group: Group) -> ContactWorkspace:
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs),
         *np.zeros((3, bodies, 3)),
+        make_impulse_workspace(pairs, bodies),
     )
 
 

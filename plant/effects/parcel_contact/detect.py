@@ -73,7 +73,10 @@ class ContactSearch:
         return float(self._entry.gap(self._group.shapes, i, j, states[i], states[j])[0])
 
     def contact(self, pairs: Integers, start: int = 0) -> Turn | None:
-        """The first contact of some pairs, apart at the instant ``start``; None where there is none."""
+        """The first contact of some pairs, apart at the instant ``start``; None where there is none.
+
+        Instants before it are forgotten.
+        """
         group = self._group
         while len(pairs):
             start, which = self._entry.first_uncertain(
@@ -81,7 +84,9 @@ class ContactSearch:
             )
             if which < 0:
                 return None
-            pair, span = int(pairs[which]), self.times[start + 1] - self.times[start]
+            # earlier instants are of no use any more, and would be copied at each division
+            self.times, self.states, start = self.times[start:], self.states[start:], 0
+            pair, span = int(pairs[which]), self.times[1] - self.times[0]
             space = self.gap(start + 1, pair)
             if space <= TOUCH_M and ((space > 0.0 and span <= LOCATED_S) or span <= SHORTEST_S):
                 return Turn(start + 1, pair)

@@ -8,7 +8,7 @@ from typing import Final
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
-from plant.kernels.contact.impulses import leaving, settle
+from plant.kernels.contact.impulses import ACCEPTED, UNSETTLED, leaving, settle
 from plant.kernels.contact.manifold import build_rows, move_row
 from plant.kernels.contact.resting import part
 
@@ -30,8 +30,9 @@ def energy(inverse, motion):
 
 
 @kernel
-def strike(group, rows, ends, count, before, restitution, friction, after):
+def strike(group, work, count, before, restitution, friction, after):
     """Velocities after an impact, by the rule for every point alone. Returns whether they were found."""
+    rows, ends = work.rows, work.ends
     for i in range(before.shape[0]):
         for k in range(3):
             after[i, k] = before[i, k]
@@ -40,8 +41,7 @@ def strike(group, rows, ends, count, before, restitution, friction, after):
         closing = -leaving(row, before[ends[n, 0]], before[ends[n, 1]])
         row[to.WANTED] = restitution * closing if closing > group.slow else 0.0
         row[to.FRICTION] = friction
-        row[to.PUSH_N] = row[to.PUSH_T] = 0.0
-    return settle(rows, ends, count, group.inverse, after)
+    return settle(work, count, group.inverse, after, ACCEPTED) <= UNSETTLED
 
 
 @kernel
@@ -94,12 +94,12 @@ def collide(group, count, states, restitution, friction, work):
         fastest = max(fastest, -leaving(rows[n], before[ends[n, 0]], before[ends[n, 1]]))
     if fastest <= CLOSING:
         return to.DONE, fastest
-    if not strike(group, rows, ends, count, before, restitution, friction, after):
+    if not strike(group, work, count, before, restitution, friction, after):
         return to.NOT_SETTLED, fastest
     had, share = energy(group.inverse, before), 1.0
     gained = energy(group.inverse, after) - had
     if gained > ROUNDING * had:
-        if not strike(group, rows, ends, count, before, at.NOTHING, friction, dead):
+        if not strike(group, work, count, before, at.NOTHING, friction, dead):
             return to.NOT_SETTLED, fastest
         # energy is convex along the mixture, not above what it was at its beginning, and above that at its end
         lost = min(energy(group.inverse, dead) - had, 0.0)

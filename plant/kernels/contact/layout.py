@@ -25,9 +25,7 @@ WANTED: Final = 9  # least motion of the second from the first, along the normal
 ASIDE_WANTED: Final = 10  # motion wanted across: along the normal turned by 90 degrees
 FRICTION: Final = 11  # Coulomb coefficient
 HOLD: Final = 12  # not 0: what is wanted across is given whatever it takes
-PUSH_N: Final = 13  # found: impulse on the second body along the normal ...
-PUSH_T: Final = 14  # ... and across
-ROW_SIZE: Final = 15
+ROW_SIZE: Final = 13
 
 # ── ends: int64 (2 pairs, 3), the two bodies of a row, and the pair
 PAIR: Final = 2

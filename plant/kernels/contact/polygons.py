@@ -101,8 +101,10 @@ def gap(shapes, i, j, pi, pj):
     other, ox, oy = nearest_corner(shapes, j, i, pj, pi, at.BACKWARD)
     if other < best:
         best, bx, by = other, ox, oy
-    # corners that coincide are left out above: no distance is less than that beyond an edge
-    return max(best, first), bx, by
+    if best <= first + COINCIDENT:
+        # the direction between corners a nanometre apart is rounding: over a face it would lose the gap
+        return first, nx, ny
+    return best, bx, by
 
 
 @kernel

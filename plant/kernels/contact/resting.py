@@ -8,7 +8,7 @@ from typing import Final
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
-from plant.kernels.contact.impulses import leaving, settle, sliding
+from plant.kernels.contact.impulses import ACCEPTED, UNSETTLED, leaving, settle, sliding
 from plant.kernels.contact.manifold import build_rows, move_row
 
 KEEP_M: Final = 0.5 * to.TOUCH_M
@@ -17,6 +17,10 @@ PARTED_M: Final = 1e-3 * KEEP_M
 """What is left of overlap or slip when places are right."""
 ROUNDS: Final = 20
 """Corrections of places, each linear, until they are right: two or three do mostly."""
+PLACED: Final = 1e-6
+"""Error of shifts, over the largest, above which another attempt is made; further rounds correct what is left."""
+UNPLACED: Final = 1e-2
+"""Error above which shifts count as not found."""
 STANDS_M_S: Final = 1e-9
 """What slides more slowly, and is held by friction, stands."""
 
@@ -94,7 +98,7 @@ def hold(group, before, states, step, friction, work):
     for i in range(states.shape[0]):
         for k in range(3):
             motion[i, k] = states[i, 3 + k]
-    if not settle(rows, ends, count, group.inverse, motion):
+    if settle(work, count, group.inverse, motion, ACCEPTED) > UNSETTLED:
         return to.NOT_SETTLED
     for i in range(states.shape[0]):
         for k in range(3):
@@ -163,7 +167,7 @@ def part(group, before, states, work):
         for i in range(states.shape[0]):
             for k in range(3):
                 shift[i, k] = 0.0
-        if not settle(rows, ends, count, group.inverse, shift):
+        if settle(work, count, group.inverse, shift, PLACED) > UNPLACED:
             # parcels that hold each other all round may ask for what can't be: their slip is let go
             for p in range(work.held.shape[0]):
                 work.held[p] = 0

@@ -1,0 +1,133 @@
+"""Contact impulses of random islands: the conditions of the contact problem, checked by other means.
+
+A velocity solves the problem if no point closes and the change of momentum is a sum of impulses that its points may
+give at that velocity. The second condition is one of non-negative least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from plant.effects.parcel_contact.bodies import ContactWorkspace, Group, Shapes, make_workspace
+from plant.kernels.contact import entry as contact_entry
+from plant.kernels.contact import layout as to
+
+Floats = NDArray[np.float64]
+CASES = 1000
+"""Random islands of each kind."""
+CLOSED = 1e-10
+"""Motion, m/s, of a point that neither opens nor slides; velocities are about 1 m/s."""
+
+
+class Island:
+    """Bodies of 1 kg or so with random faces between them and to body 0, which stands."""
+
+    def __init__(self, draw: np.random.Generator, bodies: int, faces: int) -> None:
+        self.inverse: Floats = np.zeros((bodies + 1, 2))
+        self.inverse[1:] = draw.uniform(0.3, 3.0, (bodies, 2)) * [1.0, 20.0]
+        self.states: Floats = np.zeros((bodies + 1, 6))
+        self.states[1:, :3] = draw.normal(0.0, 0.3, (bodies, 3))
+        self.states[1:, 3:] = draw.normal(0.0, 1.0, (bodies, 3))
+        self.pairs = np.array([self._pair(draw, bodies, k) for k in range(faces)], dtype=np.int64)
+        self.group = Group(
+            names=np.arange(bodies + 1),
+            moving=np.arange(1, bodies + 1),
+            pairs=self.pairs,
+            shapes=Shapes(
+                np.zeros(bodies + 2, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
+            ),
+            inverse=self.inverse,
+            pull=np.zeros((bodies + 1, to.PULL_SIZE)),
+            still=np.zeros((bodies + 1, 6)),
+            slow=1e-3,
+        )
+        self.work: ContactWorkspace = make_workspace(self.group)
+        self.count = 0
+        for pair in range(faces):
+            angle, width = draw.uniform(0.0, 2.0 * np.pi), draw.choice([0.0, 0.3])
+            middle, along = draw.normal(0.0, 0.3, 2), np.array([-np.sin(angle), np.cos(angle)])
+            for side in (-0.5, 0.5) if width else (0.0,):
+                self._add(pair, middle + side * width * along, np.array([np.cos(angle), np.sin(angle)]))
+
+    @staticmethod
+    def _pair(draw: np.random.Generator, bodies: int, k: int) -> list[int]:
+        # each body follows an earlier one, so that all are one island; further faces are anywhere
+        if k < bodies:
+            return [int(draw.integers(0, k + 1)), k + 1]
+        first, second = sorted(draw.choice(bodies + 1, 2, replace=False).tolist())
+        return [first, second]
+
+    def _add(self, pair: int, point: Floats, normal: Floats) -> None:
+        row, (i, j) = self.work.rows[self.count], self.pairs[pair]
+        row[:] = 0.0
+        row[[to.PX, to.PY]], row[[to.NORMAL_X, to.NORMAL_Y]] = point, normal
+        row[[to.AX, to.AY]] = point - self.states[i, :2]
+        row[[to.BX, to.BY]] = point - self.states[j, :2]
+        self.work.ends[self.count] = i, j, pair
+        self.count += 1
+
+    def arms(self, n: int, *, across: bool) -> Floats:
+        """Forces and moments ``(b, 3)`` of a unit impulse at a point, along its normal or across."""
+        row, (i, j, _) = self.work.rows[n], self.work.ends[n]
+        x, y = row[to.NORMAL_X], row[to.NORMAL_Y]
+        x, y = (-y, x) if across else (x, y)
+        out = np.zeros((len(self.inverse), 3))
+        out[i] -= [x, y, row[to.AX] * y - row[to.AY] * x]
+        out[j] += [x, y, row[to.BX] * y - row[to.BY] * x]
+        return out
+
+    def struck(self, friction: float) -> tuple[int, Floats]:
+        """Outcome of an impact without restitution, and the velocities ``(b, 3)`` after it."""
+        after = self.states.copy()
+        outcome, _ = contact_entry.collide(self.group, self.count, after, 0.0, friction, self.work)
+        return outcome, after[:, 3:]
+
+    def flaw(self, after: Floats, friction: float) -> float:
+        """How far velocities are from a solution: the fastest closing, or the momentum that no impulse explains."""
+        generators: list[Floats] = []
+        worst = 0.0
+        for n in range(self.count):
+            normal, across = self.arms(n, across=False), self.arms(n, across=True)
+            opening, sliding = float(np.sum(normal * after)), float(np.sum(across * after))
+            worst = max(worst, -opening)
+            if opening > CLOSED:
+                continue
+            senses = (1.0, -1.0) if abs(sliding) <= CLOSED else (-np.sign(sliding),)
+            generators += [normal + friction * sense * across for sense in senses]
+        moving = self.inverse[:, 0] > 0.0
+        change = (after - self.states[:, 3:])[moving] / self.inverse[moving][:, [0, 0, 1]]
+        if not generators:
+            return max(worst, float(np.abs(change).max()))
+        matrix = np.array([one[moving].ravel() for one in generators]).T
+        return max(worst, float(nnls(matrix, change.ravel(), maxiter=1000)[1]))
+
+
+def islands(seed: int, most: int) -> Iterator[Island]:
+    """Random islands of at most so many points."""
+    draw = np.random.default_rng(seed)
+    while True:
+        bodies = int(draw.integers(1, 5))
+        island = Island(draw, bodies, bodies + int(draw.integers(0, 3)))
+        if island.count <= most:
+            yield island
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1, 0.5, 1.0])
+def test_velocities_after_an_impact_are_a_solution(friction: float) -> None:
+    flaws = np.zeros(CASES)
+    for case, island in zip(range(CASES), islands(7, 8), strict=False):
+        outcome, after = island.struck(friction)
+        flaws[case] = island.flaw(after, friction) if outcome == to.DONE else np.inf
+    assert flaws.max() < 1e-9
+
+
+def test_the_check_bites() -> None:
+    island = next(islands(7, 8))
+    _, after = island.struck(0.3)
+    after[1, 0] += 1e-6
+    assert island.flaw(after, 0.3) > 1e-8
