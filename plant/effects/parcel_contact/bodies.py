@@ -236,8 +236,10 @@ def make_workspace(group: Group) -> ContactWorkspace:
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs),
-        *np.zeros((3, bodies, 3)),
-        make_impulse_workspace(pairs, bodies),
+        first=np.zeros((bodies, 3)),
+        second=np.zeros((bodies, 3)),
+        third=np.zeros((bodies, 3)),
+        impulses=make_impulse_workspace(pairs, bodies),
     )
 
 
