@@ -141,7 +141,7 @@ class ImpulseWorkspace(NamedTuple):
         held: nonzero where the tangent's motion is given whatever it takes, ``(f,)``.
         matrix: motion along each constraint per unit impulse along each, ``(c, c)``, 1/kg.
         mode: mode of each constraint, ``(c,)``.
-        index: constraints with unknown impulses, ``(c,)``.
+        unknowns: constraints with unknown impulses, ``(c,)``.
         last: scratch of the elimination, ``(2, c)``.
         system: linear system of the modes, ``(c, c)``.
         push: normal impulse of each face, ``(f,)``.
@@ -158,7 +158,7 @@ class ImpulseWorkspace(NamedTuple):
     held: Integers
     matrix: Floats
     mode: Integers
-    index: Integers
+    unknowns: Integers
     last: Integers
     system: Floats
     push: Floats
@@ -188,7 +188,7 @@ def make_impulse_workspace(pairs: int, bodies: int) -> ImpulseWorkspace:
         held=np.zeros(pairs, dtype=np.int64),
         matrix=np.zeros((size, size)),
         mode=np.zeros(size, dtype=np.int64),
-        index=np.zeros(size, dtype=np.int64),
+        unknowns=np.zeros(size, dtype=np.int64),
         last=np.zeros((2, size), dtype=np.int64),
         system=np.zeros((size, size)),
         push=np.zeros(pairs),

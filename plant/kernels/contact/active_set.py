@@ -69,10 +69,10 @@ def select_unknowns(count, work):
     size = at.ZERO
     for n in range(count):
         if work.mode[n] == ACTIVE:
-            work.index[size] = n
+            work.unknowns[size] = n
             size += 1
         if (n == count - 1 or work.face[n + 1] != work.face[n]) and work.mode[count + work.face[n]] == STICKS:
-            work.index[size] = count + work.face[n]
+            work.unknowns[size] = count + work.face[n]
             size += 1
     return size
 
@@ -135,9 +135,9 @@ def solve_modes(count, faces, impulse, work):
     size = select_unknowns(count, work)
     for _ in range(PROXIMAL_STEPS):
         for a in range(size):
-            c = work.index[a]
+            c = work.unknowns[a]
             for b in range(size):
-                d = work.index[b]
+                d = work.unknowns[b]
                 value = work.matrix[c, d]
                 if d < count:
                     t = count + work.face[d]
@@ -151,12 +151,12 @@ def solve_modes(count, faces, impulse, work):
             return False
         change = largest = 0.0
         for a in range(size):
-            change = max(change, abs(work.solution[a] - impulse[work.index[a]]))
+            change = max(change, abs(work.solution[a] - impulse[work.unknowns[a]]))
             largest = max(largest, abs(work.solution[a]))
         for c in range(count + faces):
             impulse[c] = 0.0
         for a in range(size):
-            impulse[work.index[a]] = work.solution[a]
+            impulse[work.unknowns[a]] = work.solution[a]
         for n in range(count):
             t = count + work.face[n]
             if abs(work.mode[t]) == 1:
