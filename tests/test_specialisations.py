@@ -53,6 +53,7 @@ def test_one_that_is_listed_is_not_named() -> None:
     assert Watch(loaded()).found() == []
 
 
+@pytest.mark.kernels
 def test_touching_parcels_call_every_entry_point_of_contacts(monkeypatch: pytest.MonkeyPatch) -> None:
     from plant.kernels.contact import entry
 
