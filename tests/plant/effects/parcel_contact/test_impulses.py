@@ -117,7 +117,9 @@ def islands(seed: int, most: int) -> Iterator[Island]:
             yield island
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize(
+    "friction", [0.0, 0.5, *(pytest.param(friction, marks=pytest.mark.slow) for friction in (0.1, 1.0))]
+)
 def test_velocities_after_an_impact_are_a_solution(friction: float) -> None:
     flaws = np.zeros(CASES)
     for case, island in zip(range(CASES), islands(7, 8), strict=False):

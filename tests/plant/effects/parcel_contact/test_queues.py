@@ -40,7 +40,9 @@ def test_a_queue_comes_to_rest_against_a_rail(count: int, aside_m: float, fricti
     assert front == pytest.approx(WIDE - BOX * np.arange(count), abs=1e-6 * count)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.05, pytest.param(0.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "friction", [0.0, *(pytest.param(friction, marks=pytest.mark.slow) for friction in (0.05, 0.3))]
+)
 def test_a_block_of_nine_comes_to_rest_in_a_corner(friction: float) -> None:
     rows = [WIDE - 0.5 * BOX - 0.001 - k * (BOX + 0.001) for k in range(3)]
     bench = pressed(tuple(box(x, y) for x in rows for y in rows), friction, 0.4, corner=True)
