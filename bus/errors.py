@@ -74,7 +74,15 @@ class CoordinatorLostError(BusError):
 
 @final
 class WaitInterrupted(BusError):
-    """``Endpoint.wake`` was called while the lockstep waited; the caller of ``wake`` knows the reason."""
+    """``Endpoint.wake`` was called while the lockstep waited; the caller of ``wake`` knows the reason.
+
+    Attributes:
+        wakeups: Number of calls of ``wake`` that ended the wait.
+    """
+
+    def __init__(self, problem: str, wakeups: int = 1) -> None:
+        super().__init__(problem)
+        self.wakeups = wakeups
 
 
 @final

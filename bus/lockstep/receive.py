@@ -224,7 +224,7 @@ class Dispatcher:
             WaitInterrupted: ``Endpoint.wake`` was called; all other events have been handled.
         """
         events = self._receive(timeout_s, min(enough, BATCH))
-        woken = False
+        wakeups = 0
         for event in events:
             if type(event) is Received:
                 take, part = self.routes.get(event.key, _NOWHERE)
@@ -237,9 +237,9 @@ class Dispatcher:
             elif type(event) is LivelinessChange:
                 self._tokens(event)
             else:
-                woken = True
-        if woken:
-            raise WaitInterrupted("woken while waiting for the others")
+                wakeups += 1
+        if wakeups:
+            raise WaitInterrupted("woken while waiting for the others", wakeups)
         return bool(events)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import selectors
+from collections import deque
 from collections.abc import Callable
 from contextvars import Context
 from typing import TypeVarTuple, final
@@ -49,8 +50,8 @@ class TransportEventLoop(asyncio.SelectorEventLoop):
     def __init__(self, endpoint: Endpoint) -> None:
         self._idle = _Selector()
         self._endpoint = endpoint
-        self._called = False
-        """Whether the endpoint was woken for a callback from another thread."""
+        self._calls: deque[None] = deque()
+        """An entry for each wakeup for a callback that no wait has reported yet; appended and popped atomically."""
         super().__init__(self._idle)
 
     async def poll_until(self, poll: Callable[[float | None], bool]) -> None:
@@ -71,9 +72,7 @@ class TransportEventLoop(asyncio.SelectorEventLoop):
             try:
                 done = poll(timeout_s)
             except WaitInterrupted as error:
-                if self._called:
-                    self._called = False
-                else:
+                if not self._are_own(error.wakeups):
                     over.set_exception(error)
             except Exception as error:  # noqa: BLE001 - raised again where the poll is awaited
                 over.set_exception(error)
@@ -93,6 +92,15 @@ class TransportEventLoop(asyncio.SelectorEventLoop):
         """Schedule a callback from another thread or a signal handler, and end the wait in the transport."""
         handle = super().call_soon_threadsafe(callback, *args, context=context)
         if self._idle.wait is not None:
-            self._called = True
+            self._calls.append(None)
             self._endpoint.wake()
         return handle
+
+    def _are_own(self, wakeups: int) -> bool:
+        """Whether all of so many wakeups were for callbacks of this loop."""
+        try:
+            for _ in range(wakeups):
+                self._calls.pop()
+        except IndexError:
+            return False
+        return True
