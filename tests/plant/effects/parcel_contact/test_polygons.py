@@ -107,3 +107,15 @@ def test_what_is_certain_to_stay_apart_does_at_every_instant_between(
     if unsure < 0:
         gaps = [contact_entry.gap(shapes, 0, 1, *states)[0] for states in zip(*paths, strict=True)]
         assert min(gaps) > 0.0
+
+
+def test_faces_a_nanometre_apart_are_separated_along_their_normal() -> None:
+    """Corners that face each other are nearest too, and the direction between them is rounding: askew by 1e-8."""
+    half = 0.125
+    square = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    shapes = pack([square, square])
+    first = np.array([0.2749999971380149, 0.5249999990001986, 1.9585805295037434e-18])
+    second = np.array([0.5249999990001984, 0.5249999990001986, -1.3408324108140742e-16])
+    distance, x, y = contact_entry.gap(shapes, 0, 1, first, second)
+    assert distance == pytest.approx(1.8621835e-9, abs=1e-14)
+    assert (x, y) == pytest.approx((1.0, 0.0), abs=1e-15)
