@@ -112,7 +112,7 @@ class MessageCounter(BoardComponent):
 
     def init(self, cells: Cells) -> State:
         """Return zero counters."""
-        return {name: np.zeros(len(cells), dtype=np.int64) for name in ("sent", "heard")}
+        return {name: np.zeros(len(cells), dtype=np.int64) for name in ("sent", "received")}
 
     def reset(self, cells: Cells, state: State) -> State:
         """Return the state unchanged."""
@@ -129,17 +129,17 @@ class MessageCounter(BoardComponent):
                 messages.
             sent: ``(n, 4)``, whether the program sends a message on the side; None if there are none at all.
         """
-        told, heard = state["sent"], state["heard"]
+        counts = dict(state)
         if received is not None:
-            heard = heard + received.sum(axis=1)
+            counts["received"] = counts["received"] + received.sum(axis=1)
         if sent is not None:
-            told = told + (sent & cells.has_neighbour).sum(axis=1)
-        return {"sent": told, "heard": heard}
+            counts["sent"] = counts["sent"] + (sent & cells.has_neighbour).sum(axis=1)
+        return counts
 
     def registers(self, state: State) -> dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]]:
         """Return the counters of each cell."""
-        return {name: state[name] for name in ("sent", "heard")}
+        return {name: state[name] for name in ("sent", "received")}
 
     def counters(self, state: State) -> dict[str, int]:
         """Return the counters summed over all cells."""
-        return {name: int(state[name].sum()) for name in ("sent", "heard")}
+        return {name: int(state[name].sum()) for name in ("sent", "received")}

@@ -99,25 +99,25 @@ class Participant:
         lives = Membership(len(partition.lattice))
         self._incoming = InboundFrames(wiring, shard, self._form, lives, self.counters)
         self._outgoing = OutboundFrames(endpoint, wiring, shard, self._form, lives)
-        self._company = ParticipantMembership(
+        self._membership = ParticipantMembership(
             partition.cells(shard), lives, self._incoming, self._outgoing, self.counters
         )
         if joins:
             self._incoming.accept_any_tick()
         token, control = plant_key(run, "alive"), plant_key(run, "control")
-        self._told = ControlState(partition.lattice, self._company, token, self.counters)
-        self.drain_faults: Callable[[], list[Control]] = self._told.drain_faults
-        self._inbox = Dispatcher(endpoint, self.counters, self._told.handle_token)
-        self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._told.handle, 0)}
+        self._control = ControlState(partition.lattice, self._membership, token, self.counters)
+        self.drain_faults: Callable[[], list[Control]] = self._control.drain_faults
+        self._inbox = Dispatcher(endpoint, self.counters, self._control.handle_token)
+        self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._control.handle, 0)}
         endpoint.subscribe(control, "urgent")
         self._reports = ReportPublisher(
             endpoint.publisher(shard_key(run, shard, "report")), self.counters, cell_counters
         )
         registers = endpoint.publisher(shard_key(run, shard, "registers"))
-        self._showing = RegisterPublisher(registers, wanted, self.counters, clock)
-        self._remembering: SnapshotPublisher | None = None
+        self._registers = RegisterPublisher(registers, wanted, self.counters, clock)
+        self._snapshots: SnapshotPublisher | None = None
         if keeps:
-            self._remembering = SnapshotPublisher(
+            self._snapshots = SnapshotPublisher(
                 endpoint.publisher(shard_key(run, shard, "snapshot")), self.counters
             )
         endpoint.watch_alive(token)
@@ -139,22 +139,22 @@ class Participant:
         deadline = self._clock() + limit
         self._declare(self._form.alive_keys)
         waiting = {**self._outgoing.publishers, "report": self._reports.publisher}
-        if self._showing.requests:
-            waiting["registers"] = self._showing.publisher
-        if self._remembering is not None:
-            waiting["snapshot"] = self._remembering.publisher
+        if self._registers.requests:
+            waiting["registers"] = self._registers.publisher
+        if self._snapshots is not None:
+            waiting["snapshot"] = self._snapshots.publisher
         while True:
             waiting = {key: publisher for key, publisher in waiting.items() if not publisher.matched()}
-            if not waiting and self._told.plant_seen:
+            if not waiting and self._control.plant_seen:
                 break
             left = deadline - self._clock()
             if left <= 0:
                 keys = ", ".join(list(waiting)[:8])
-                why = f"no subscriber for {keys}" if self._told.plant_seen else "the plant does not answer"
+                why = f"no subscriber for {keys}" if self._control.plant_seen else "the plant does not answer"
                 raise BarrierError(f"shard {self._shard} is not ready after {limit:g} s: {why}")
             # No event tells of a match.
             self._inbox.poll(min(left, _POLL_S))
-            if self._told.plant_lost:
+            if self._control.plant_lost:
                 raise CoordinatorLostError("the plant left before the run began")
         self._declare(self._form.ready_keys)
 
@@ -174,14 +174,14 @@ class Participant:
         """
         limit = self._stall.start_s if deadline_s is None else deadline_s
         deadline = self._clock() + limit
-        while self._told.rejoin_tick is None and self._told.stop is None:
+        while self._control.rejoin_tick is None and self._control.stop is None:
             left = deadline - self._clock()
             if left <= 0:
                 raise BarrierError(f"shard {self._shard} was not readmitted within {limit:g} s")
             self._inbox.poll(left)
-            if self._told.plant_lost:
+            if self._control.plant_lost:
                 raise CoordinatorLostError("the plant left before the shard could rejoin")
-        return self._told.rejoin_tick
+        return self._control.rejoin_tick
 
     def resume(self, tick: int, dead: Sequence[int]) -> None:
         """Resume at ``tick`` from another participant of the same shard; call before ``ready``.
@@ -190,7 +190,7 @@ class Participant:
             tick: First tick to gather.
             dead: Indices in the lattice of the cells that had died before ``tick``.
         """
-        self._tick, self._told.resumed = tick, True
+        self._tick, self._control.resumed = tick, True
         self._incoming.resume(tick)
         if dead:
             self.mark_dead(dead, 0)
@@ -203,7 +203,7 @@ class Participant:
         """
         if links is not None:
             self._endpoint.put_all(self._outgoing.encode_links(links))
-        if self._company.none_live(self._tick):
+        if self._membership.none_live(self._tick):
             self._reports.publish_counters(self._tick)
 
     def _declare(self, keys: Iterable[str]) -> None:
@@ -231,9 +231,9 @@ class Participant:
             WaitInterrupted: ``endpoint.wake`` was called; the call may be repeated.
         """
         self._tick = tick
-        told, company = self._told, self._company
-        if told.rejoins_offered:
-            told.rejoins_offered = [control for control in told.rejoins_offered if not self._offer(control)]
+        control, membership = self._control, self._membership
+        if control.rejoins_offered:
+            control.rejoins_offered = [offer for offer in control.rejoins_offered if not self._offer(offer)]
         sense, links = self._incoming.slots(tick)
         until = self._deadline(timeout_s)
         limits = [limit for limit in (until, self._deadline(self._silence_s)) if limit is not None]
@@ -241,20 +241,20 @@ class Participant:
         while True:
             waits = sense.missing > 0
             missing = waits or (links is not None and links.missing > 0)
-            if told.stop is not None:
-                return told.stop
-            if company.none_live(tick):
+            if control.stop is not None:
+                return control.stop
+            if membership.none_live(tick):
                 # The token must not go before the report has come: the plant would take the cells' process for dead.
                 left = self._answer_until - self._clock()
-                if not told.unanswered or told.plant_lost or left <= 0:
+                if not control.unanswered or control.plant_lost or left <= 0:
                     return Control("stop", tick, (), "no cell of this shard is alive any more")
                 read(left, 1)
                 continue
             if not missing:
-                if tick + 1 == told.snapshot_tick and self._remembering is not None:
-                    self._remembering.record_counters(self._incoming.received_count(tick))
+                if tick + 1 == control.snapshot_tick and self._snapshots is not None:
+                    self._snapshots.record_counters(self._incoming.received_count(tick))
                 return self._incoming.collect(tick)
-            if told.plant_lost:
+            if control.plant_lost:
                 raise CoordinatorLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
             left = max(min(limits) - self._clock(), 0.0) if limits else None
             if not waits:
@@ -292,7 +292,7 @@ class Participant:
         """
         puts = self._outgoing.encode(drive, links)
         self.counters.sent += len(puts)
-        if self._company.none_live(drive.tick + 1):
+        if self._membership.none_live(drive.tick + 1):
             self._reports.publish_counters(self._tick)
         self._endpoint.put_all(puts)
 
@@ -305,8 +305,8 @@ class Participant:
             tick: The next.
             read: Returns the state; called only if a snapshot was requested.
         """
-        if tick == self._told.snapshot_tick and self._remembering is not None:
-            self._remembering.publish(tick, read())
+        if tick == self._control.snapshot_tick and self._snapshots is not None:
+            self._snapshots.publish(tick, read())
 
     def publish_registers(self, tick: int, read: Callable[[], Own]) -> None:
         """Publish the registers of the cells if the plant or another observer requests them.
@@ -318,21 +318,21 @@ class Participant:
             read: Returns rows and columns of the cells, ``(n, 2)``, and registers by name, arrays with a row a cell;
                 called only if the registers are requested.
         """
-        self._showing.publish(tick, read)
+        self._registers.publish(tick, read)
 
     # --- who takes part -------------------------------------------------------------------------
 
     def schedule_death(self, cells: Iterable[int], tick: int) -> None:
         """Schedule the permanent death of ``cells`` (indices in the lattice) at ``tick``."""
-        self._company.schedule_death(cells, tick)
+        self._membership.schedule_death(cells, tick)
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Mark ``cells`` (indices in the lattice) as dead from ``tick`` on; their process may rejoin."""
-        self._company.mark_dead(cells, tick)
+        self._membership.mark_dead(cells, tick)
 
     def live(self, tick: int) -> Mask:
         """Return the mask of the shard's cells that are live in ``tick``, ``(n,)``."""
-        return self._company.live(tick)
+        return self._membership.live(tick)
 
     def fail(self, cells: Iterable[int], tick: int, detail: str) -> None:
         """Report to the plant that ``cells`` (indices in the lattice) failed in ``tick``.
@@ -342,7 +342,7 @@ class Participant:
         index = sorted(int(i) for i in cells)
         names = tuple(self._lattice.cells[i] for i in index)
         self._reports.failed(names, tick, detail)
-        self._told.unanswered.update(index)
+        self._control.unanswered.update(index)
         self._answer_until = self._clock() + _ANSWER_S
         self.mark_dead(index, tick)
 
@@ -362,7 +362,7 @@ class Participant:
         self._reports.publish_counters(self._tick)
         # Whoever closes a session may take with it what is still queued there: the report must have arrived before.
         deadline = self._clock() + _LEAVE_S
-        while self._told.stop is not None and not self._told.plant_lost:
+        while self._control.stop is not None and not self._control.plant_lost:
             left = deadline - self._clock()
             if left <= 0:
                 break

@@ -71,7 +71,7 @@ def _links(load: LinkLoad) -> str:
     filled = f"{100 * load.line_load:.3g} % of the capacity of a line at {load.baud:,} baud"
     return (
         f"{short_number(load.sent_per_cell_tick)} messages a cell and tick sent, "
-        f"{short_number(load.heard_per_cell_tick)} received; {load.line_bytes} bytes each on a serial line, "
+        f"{short_number(load.received_per_cell_tick)} received; {load.line_bytes} bytes each on a serial line, "
         f"{short_number(load.line_bytes_per_cell_tick)} a cell and tick: "
         f"{filled}{'' if load.on_lines else ', if the scene had serial lines'}"
     )

@@ -25,9 +25,9 @@ class LinkLoad:
 
     Attributes:
         sent: Messages that programs gave to a line with a neighbour at its end.
-        heard: Messages that they received.
+        received: Messages that they received.
         sent_per_cell_tick: Sent by a living cell in a tick, to all its sides together.
-        heard_per_cell_tick: Likewise.
+        received_per_cell_tick: Likewise.
         message_bytes: A message's fields, packed.
         line_bytes: What it takes on a serial line: with its check byte.
         line_bytes_per_cell_tick: What a cell gives its lines in a tick, if all of it goes.
@@ -38,9 +38,9 @@ class LinkLoad:
     """
 
     sent: int
-    heard: int
+    received: int
     sent_per_cell_tick: float
-    heard_per_cell_tick: float
+    received_per_cell_tick: float
     message_bytes: int
     line_bytes: int
     line_bytes_per_cell_tick: float
@@ -78,13 +78,13 @@ def link_load(
         capacity = min(capacity, settings.polled_bytes * scene.tick_ns / settings.period_ns)
     if settings.dwell_periods is not None:
         capacity /= 4  # one SCI for four sides
-    sent, heard = counters.get("messages.sent", 0), counters.get("messages.heard", 0)
+    sent, received = counters.get("messages.sent", 0), counters.get("messages.received", 0)
     size = bytes_of(message)
     return LinkLoad(
         sent=sent,
-        heard=heard,
+        received=received,
         sent_per_cell_tick=sent / cell_ticks,
-        heard_per_cell_tick=heard / cell_ticks,
+        received_per_cell_tick=received / cell_ticks,
         message_bytes=size - 1,
         line_bytes=size,
         line_bytes_per_cell_tick=sent * size / cell_ticks,

@@ -221,7 +221,9 @@ def _protocol_messages(
     """Return the cells' counts of messages between cells; None for firmware without messages."""
     if not firmware["message_bytes"]:
         return None
-    return ProtocolMessages(sent=counters.get("messages.sent", 0), heard=counters.get("messages.heard", 0))
+    return ProtocolMessages(
+        sent=counters.get("messages.sent", 0), received=counters.get("messages.received", 0)
+    )
 
 
 def _of_effects(counters: Mapping[str, int]) -> dict[str, int]:

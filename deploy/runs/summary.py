@@ -62,12 +62,12 @@ class ProtocolMessages:
 
     Attributes:
         sent: Messages that programs gave to a link with a neighbour at its end.
-        heard: Messages that programs received. Messages that were lost or replaced, or are on their way as the run
+        received: Messages that programs received. Messages that were lost or replaced, or are on their way as the run
             ends, are sent and not received.
     """
 
     sent: int
-    heard: int
+    received: int
 
 
 @final

@@ -75,7 +75,7 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
     if messages.protocol is not None:
         protocol = messages.protocol
         lines.append(
-            ("messages", f"{protocol.sent:,} sent by cells to neighbours, {protocol.heard:,} received")
+            ("messages", f"{protocol.sent:,} sent by cells to neighbours, {protocol.received:,} received")
         )
     if messages.sent or messages.lost:
         trouble = "".join(

@@ -55,22 +55,22 @@ def run(effects: CellEffects, ticks: int = TICKS) -> Shard:
 def test_what_a_program_says_where_nobody_is_does_not_count() -> None:
     counted = run(CellEffects()).counters()
     assert counted["messages.sent"] == TICKS // 2 * 14
-    assert counted["messages.heard"] == TICKS // 2 * 14
+    assert counted["messages.received"] == TICKS // 2 * 14
     _, registers = run(CellEffects(), ticks=3).registers()
     assert registers["messages.sent"].tolist() == [4, 6, 4, 4, 6, 4]
-    assert registers["messages.heard"].tolist() == [2, 3, 2, 2, 3, 2]
+    assert registers["messages.received"].tolist() == [2, 3, 2, 2, 3, 2]
 
 
 def test_lost_messages_count_as_sent_and_not_as_received() -> None:
     counted = run(CellEffects.model_validate({"link_loss": {"probability": 0.3}})).counters()
-    assert counted["messages.sent"] - counted["messages.heard"] == counted["link_loss.lost"] > 0
+    assert counted["messages.sent"] - counted["messages.received"] == counted["link_loss.lost"] > 0
 
 
 @pytest.mark.parametrize("baud", [9615, 125_000])
 def test_over_lines_whole_messages_count_and_not_bytes(baud: int) -> None:
     counted = run(CellEffects.model_validate({"serial": {"baud": baud}}), ticks=13).counters()
     assert counted["messages.sent"] == 7 * 14
-    assert counted["messages.heard"] == 6 * 14
+    assert counted["messages.received"] == 6 * 14
     assert counted["serial.received"] == 2 * 6 * 14  # bytes: a field and a check
 
 

@@ -180,7 +180,7 @@ def test_who_watches_a_run_is_shown_its_cells_five_times_a_second(memory: Networ
     watcher = memory.endpoint()
     watcher.subscribe("mdms/*/shard/*/registers")
     member = system.members[1]
-    settle(member._showing.publisher, watcher)
+    settle(member._registers.publisher, watcher)
     for tick in range(100):
         clock.now += 0.01
         member.publish_registers(tick, lambda tick=tick: readings(system, 1, tick))

@@ -87,7 +87,7 @@ def test_messages_and_what_they_would_take_on_a_line(tmp_path: Path) -> None:
     links = report.links
     assert links is not None
     directions = 2 * (ROWS * (COLUMNS - 1) + COLUMNS * (ROWS - 1))
-    assert (links.sent, links.heard) == (245 * directions, 244 * directions)
+    assert (links.sent, links.received) == (245 * directions, 244 * directions)
     assert links.sent_per_cell_tick == directions / (ROWS * COLUMNS)
     assert (links.message_bytes, links.line_bytes, links.on_lines, links.baud) == (16, 17, False, 9615)
     # ten bits of 208 clocks of 500 ns each, in 4.096 ms
@@ -100,7 +100,7 @@ def test_over_serial_lines_the_received_messages_are_those_that_they_carry(tmp_p
     assert report is not None
     assert report.links is not None
     assert report.links.on_lines
-    assert report.links.heard_per_cell_tick < 0.3 * report.links.sent_per_cell_tick
+    assert report.links.received_per_cell_tick < 0.3 * report.links.sent_per_cell_tick
     assert "effect serial" in report.verdict
 
 

@@ -56,7 +56,7 @@ def test_messages_of_cells_and_frames_on_the_bus_are_counted_apart(tmp_path: Pat
     scene = load_scene("heat", [Override.parse(text) for text in changes])
     messages = _run(scene, tmp_path).summary.messages
     ticks, links = 25, 14
-    assert messages.protocol == ProtocolMessages(sent=ticks * links, heard=(ticks - 1) * links)
+    assert messages.protocol == ProtocolMessages(sent=ticks * links, received=(ticks - 1) * links)
     assert messages.sent == messages.delivered > 2 * ticks  # senses and drives, start and stop
 
 

@@ -138,7 +138,9 @@ def test_the_table_names_lost_cells_faults_and_lost_messages() -> None:
 
 def test_the_table_distinguishes_messages_of_cells_from_frames_of_the_bus() -> None:
     text = printed(
-        summary(messages=Messages(sent=10, delivered=9, protocol=ProtocolMessages(sent=1_234, heard=1_200)))
+        summary(
+            messages=Messages(sent=10, delivered=9, protocol=ProtocolMessages(sent=1_234, received=1_200))
+        )
     )
     assert "messages   1,234 sent by cells to neighbours, 1,200 received" in text
     assert "frames     10 sent on the bus, 9 delivered" in text
