@@ -98,7 +98,11 @@ def bounce(group, begin, end, states, restitution, friction, work):
 
 @kernel
 def fastest_pair(count, states, work):
-    """Find the pair with the point that closes fastest. Returns (its speed, m/s; its first row; its last row + 1)."""
+    """Find the pair with the point that closes fastest.
+
+    Returns:
+        Its speed, m/s, its first row, and the end of its rows.
+    """
     fastest, which, ends = at.NOTHING, at.ZERO, work.ends
     for n in range(count):
         speed = -leaving(work.rows[n], states[ends[n, 0], 3:], states[ends[n, 1], 3:])
