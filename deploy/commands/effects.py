@@ -190,7 +190,7 @@ def _study(
 
     print_rows(scene, rows, repeats)
     if advice is not None:
-        print_advice(advice)
+        print_advice(advice, rows)
 
 
 def _ladder(

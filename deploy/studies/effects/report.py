@@ -191,7 +191,7 @@ def print_rows(scene: Scene, rows: Sequence[AblationRow], repeats: int) -> None:
     console.print("\n" + _KEY.format(rounds=plural(repeats, "round")), style="dim", markup=False)
     if left_out:
         console.print(
-            f"left out, too wide for this terminal: {', '.join(left_out)} (see --json)", style="dim"
+            f"left out, too wide for this terminal: {'; '.join(left_out)} (see --json)", style="dim"
         )
 
 
@@ -324,8 +324,8 @@ def _plain(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def print_advice(advice: Advice) -> None:
-    """Print effects to leave out with the time that this saves, and effects to add."""
+def print_advice(advice: Advice, rows: Sequence[AblationRow]) -> None:
+    """Print effects to leave out with the time that this saves, and effects to add; ``rows``: of all effects."""
     console = Console(highlight=False)
     limit = f"{short_number(1e3 * advice.tolerance_m)} mm"
     console.print()
@@ -340,8 +340,10 @@ def print_advice(advice: Advice) -> None:
             parcels = f", {plural(influence.parcels, 'parcel')} in one run only" if influence.parcels else ""
             words = f"{_scaled(influence.displacement_m)} mm{parcels}, {_cost_words(cost, saved=True)}"
             console.print(f"  all of them together: {words}", markup=False)
-    else:
+    elif any(row.on for row in rows):
         console.print(f"No effect of the scene can be left out within {limit}.")
+    else:
+        console.print("There is nothing to leave out: none of these effects is in the scene.")
     if advice.missing:
         console.print(f"missing, beyond {limit} with typical settings:", markup=False)
         for row in sorted(advice.missing, key=_importance):

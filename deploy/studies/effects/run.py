@@ -67,7 +67,7 @@ def run_variant(scene: Scene, *, cells: bool, notify: Callable[[str], None]) -> 
     states: list[Floats] = []
     events: list[Event] = []
     # What a firmware prints in this process is no part of what the command prints.
-    with contextlib.redirect_stdout(sys.stderr), _compilation_announced(notify):
+    with contextlib.redirect_stdout(sys.stderr), compilation_announced(notify):
         plant = load_plant(scene, notify)
         if cells:
             result = _with_cells(scene, plant, instants, states, events)
@@ -125,7 +125,7 @@ def _with_cells(
 
 
 @contextlib.contextmanager
-def _compilation_announced(notify: Callable[[str], None]) -> Generator[None]:
+def compilation_announced(notify: Callable[[str], None]) -> Generator[None]:
     """Announce the first compilation of a kernel in here: it is the longest part of a first run."""
     from numba.core import event
 

@@ -84,8 +84,9 @@ def test_the_table_fits_a_terminal_and_says_what_was_tried(
     shown = capsys.readouterr()
     assert "mdms: motors (1 of 4) ..." in shown.err
     lines = shown.out.splitlines()
-    assert all(len(line) <= 80 for line in lines[3:])
-    by_name = {line.split()[0]: line.split() for line in lines[4:8]}
+    start = next(number for number, line in enumerate(lines) if line.startswith("effect "))
+    assert all(len(line) <= 80 for line in lines[start:])
+    by_name = {line.split()[0]: line.split() for line in lines[start + 1 : start + 5]}
     assert by_name["motors"][1] == "yes"
     assert by_name["feeders"][1:3] == ["no", "–"]
     assert by_name["parcel_contact"][2] == "0"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,7 +18,7 @@ from deploy.scenes.files import bundled_names
 from deploy.scenes.scene import Scene
 from deploy.studies.effects import study as study_module
 from deploy.studies.effects.ablation import VariantRejected, ablate, effect_types, refined, tables, variant
-from deploy.studies.effects.run import TracedRun, run_variant
+from deploy.studies.effects.run import TracedRun, compilation_announced, run_variant
 from deploy.studies.effects.sensitivity import compare
 from deploy.studies.effects.study import Cost, EffectStudy
 from deploy.util.formatting import silent
@@ -315,3 +316,33 @@ def test_a_run_that_ends_early_is_a_reason_and_no_figure(monkeypatch: pytest.Mon
     row = study(loaded("elliptic", duration=0.05)).row("parcel_contact")
     assert (row.influence, row.error, row.cost) == (None, None, None)
     assert row.reason == "with it: it blew up"
+
+
+def test_a_compilation_is_announced_once_and_a_loaded_kernel_is_not() -> None:
+    import numba
+
+    told: list[str] = []
+    with compilation_announced(told.append):
+        doubled = numba.njit(lambda value: value + value)
+        assert told == []
+        assert (doubled(1), doubled(1.0), doubled(2)) == (2, 2.0, 4)
+    assert [line.partition(" (")[0] for line in told] == ["compiling kernels"]
+    with compilation_announced(told.append):
+        doubled(3)
+    assert len(told) == 1
+
+
+def test_a_program_that_fails_is_a_reason(tmp_path: Path) -> None:
+    program = tmp_path / "failing.py"
+    program.write_text(
+        "from mdms import CellFirmware, CellOutputs\n\n\n"
+        "class Failing(CellFirmware):\n"
+        "    def init(self, cell):\n        return 0\n\n"
+        "    def step(self, state, inputs):\n"
+        "        return state + 1 + 0 // (5 - state), CellOutputs((0.1, 0.0), {})\n"
+    )
+    scene = loaded("elliptic", f"cells.firmware={program}", "cells.parameters={}", duration=0.1)
+    row = study(scene).row("sensor")
+    assert row.influence is None
+    assert row.reason.startswith("with it: ")
+    assert "ZeroDivisionError" in row.reason

@@ -108,9 +108,8 @@ def test_advice_says_how_much_time_leaving_an_effect_out_saves(capsys: pytest.Ca
         for name in ("adc", "sensor")
     ]
     together = Together(influence=influence(3e-4), cost=Cost([2.0, 2.2], [1.0, 1.0]))
-    print_advice(
-        Advice(tolerance_m=1e-3, can_go=tuple(rows), together=together, missing=(), unclear=("cop",))
-    )
+    advice = Advice(tolerance_m=1e-3, can_go=tuple(rows), together=together, missing=(), unclear=("cop",))
+    print_advice(advice, rows)
     out = " ".join(capsys.readouterr().out.split())
     assert out.startswith(
         "can be left out, within 1 mm at any time: "
@@ -126,8 +125,8 @@ def test_a_narrow_terminal_gets_fewer_columns_and_their_names(
 ) -> None:
     row = AblationRow(name="adc", on=True, influence=influence(1e-3), cost=Cost([1.0, 1.2], [1.1, 1.1]))
     for width, left_out in (
-        ("60", "end, mm, mrad, rests, s, ×"),
-        ("10", "at, s, end, mm, mrad, event, s, rests, s, ±"),
+        ("60", "end, mm; mrad; rests, s; ×"),
+        ("10", "at, s; end, mm; mrad; event, s; rests, s; ±"),
     ):
         monkeypatch.setenv("COLUMNS", width)
         table, out = shown(capsys, row)
