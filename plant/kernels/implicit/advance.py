@@ -14,15 +14,26 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import fill, may_go_on, sampled_until
 from plant.kernels.common.jit import kernel
+from plant.kernels.common.springs import reach
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.implicit import located
 from plant.kernels.implicit.extrapolation import controlled, cut
 from plant.kernels.implicit.hooks import keep
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
-from plant.kernels.implicit.supports import decay, find_loads, longest
+from plant.kernels.implicit.supports import corner_speed, decay, find_loads, longest
 
+NARROWEST = 0.01
+"""Wheels narrower than this, in pitches, count as so wide where it is asked how far corners may move in a step."""
 SOON = 0.05
 """Support changes are forgotten after this time, s, where they are counted as chatter."""
+
+
+@kernel
+def look_ahead(surface, parcel, work, now, left):
+    """How long a controlled step may be at most, s: no corner passes a wheel's width in it."""
+    h, par, width = min(longest(parcel.par, now, left), work.pace[im.NEXT]), parcel.par, 2.0 * reach(surface)
+    speed, way = corner_speed(parcel), max(width, NARROWEST * par[at.PITCH])
+    return way / speed if speed * h > way else h
 
 
 @kernel
@@ -39,7 +50,7 @@ def unlocated_step(surface, parcel, work, now, left, events):
         h = left / max(1.0, -((1e-9 - left / most) // 1.0))
         status = cut(surface, parcel, work, now, h, im.ONE_PART)
     else:
-        most = allowed(surface, parcel, work, now, min(longest(parcel.par, now, left), pace[im.NEXT]))
+        most = allowed(surface, parcel, work, now, look_ahead(surface, parcel, work, now, left))
         status, h, attempts = controlled(surface, parcel, work, now, most, before)
     if status == at.MOVING and not finite(parcel.y):
         status = at.NOT_FINITE

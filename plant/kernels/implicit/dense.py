@@ -17,6 +17,8 @@ from plant.kernels.implicit.supports import carry_supports, decay
 
 DEGREE = 5
 """Of a position."""
+ROUNDING = 32.0
+"""A displacement is wrong by so many roundings of the places at its ends: the weights of the extrapolation add up."""
 SMALLEST = 1e-17
 """Terms of sine and cosine below this, in metres at the footprint, are left out, ..."""
 SMALLEST_DECAY = 1e-16
@@ -63,7 +65,7 @@ def hermite(position, velocity, ends, accelerations, h):
     velocity[0], velocity[1] = u0, a0
     velocity[2], velocity[3] = 3.0 * change - 2.0 * a0 - a1, a0 + a1 - 2.0 * change
     missing = (q1 - q0) - h * (u0 + 0.5 * change + (a0 - a1) / 12.0)
-    if abs(missing) <= 4.0 * EPSILON * (abs(q0) + abs(q1) + h * abs(u0)):
+    if abs(missing) <= ROUNDING * EPSILON * (abs(q0) + abs(q1) + h * abs(u0)):
         missing = 0.0
     bump = 30.0 * missing / h
     velocity[2] += bump

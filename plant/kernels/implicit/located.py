@@ -39,7 +39,7 @@ from plant.kernels.implicit.dense import accelerate, expand
 from plant.kernels.implicit.extrapolation import controlled, extrapolated
 from plant.kernels.implicit.hooks import keep, take_back
 from plant.kernels.implicit.step_events import note_outrun
-from plant.kernels.implicit.supports import carry_supports, decay, longest, note_centroid
+from plant.kernels.implicit.supports import carry_supports, corner_speed, decay, longest, note_centroid
 
 TRAVEL = 1.0
 """Pitches that a corner may move in a step: no event is looked for farther ahead."""
@@ -87,8 +87,7 @@ def look_ahead(surface, parcel, work, now, left):
     y, par = parcel.y, parcel.par
     e = decay(par, now)
     h = min(longest(par, now, left), work.pace[im.NEXT])
-    turning = abs(y[at.OMEGA])
-    speed = (y[at.UX] * y[at.UX] + y[at.UY] * y[at.UY]) ** 0.5 + par[at.RADIUS] * turning
+    turning, speed = abs(y[at.OMEGA]), corner_speed(parcel)
     if speed * h > TRAVEL * par[at.PITCH]:
         h = TRAVEL * par[at.PITCH] / speed
     if turning * h > TURN:

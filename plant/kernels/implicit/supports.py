@@ -43,6 +43,14 @@ def decay(par, time):
 
 
 @kernel
+def corner_speed(parcel):
+    """Speed that no corner exceeds, m/s."""
+    y = parcel.y
+    along = y[at.UX] * y[at.UX] + y[at.UY] * y[at.UY]
+    return along**0.5 + parcel.par[at.RADIUS] * abs(y[at.OMEGA])
+
+
+@kernel
 def note_centroid(work):
     """Keep where the centroid of the supports is from the parcel at the begin of a step."""
     work.centroid[0], work.centroid[1] = work.seg[at.CX], work.seg[at.CY]
