@@ -82,7 +82,9 @@ class ImplicitSpec(Spec):
     """Function of a library that an adapter calls between events; empty: kernels of the plant."""
     name: Literal["implicit"]
     tolerance: Tolerance = 1e-6
-    """Error of the footprint, metres per second of motion or jump of the force; not used with ``step_s``."""
+    """Error of the footprint, metres per second of motion; not used with ``step_s``."""
+    capture_m: Annotated[float, Field(gt=0, le=1e-2, allow_inf_nan=False)] = 1e-6
+    """Amplitude below which chatter is captured; not used with ``step_s``."""
     step_s: Annotated[float, Field(gt=0, le=1.0, allow_inf_nan=False)] | None = None
     """Constant step; default: steps controlled by the tolerance."""
     max_steps_per_s: StepsPerSecond = 1_000_000.0

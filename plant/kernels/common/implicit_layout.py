@@ -18,23 +18,27 @@ PUSH_PER_SHARE: Final = 5  # m/s^2
 SET_VALUED: Final = 6  # 1 where the stiffness is infinite
 ISOTROPIC: Final = 7  # 1 where both axes of a cell share one limit
 WHEEL: Final = 8  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
-LAW_SIZE: Final = 9
+LOCATED: Final = 9  # 1 where each wheel's branch of the law is held over a step, and its changes are located
+CAPTURES: Final = 10  # 1 where chatter is replaced by motion along its surface
+LAW_SIZE: Final = 11
 
 # ── pace: float64 settings and memory of one parcel
 GYRATION: Final = 0  # m
 FIXED: Final = 1  # longest step, s, where steps are fixed; else 0
 TOLERANCE: Final = 2  # m at the footprint
 NEXT: Final = 3  # step to try next, s (changes as the parcel moves)
-CROWD: Final = 4  # support changes of late (changes)
+CROWD: Final = 4  # support changes of late; where they are located, those in a row at one instant (changes)
 OUTRUN: Final = 5  # 1 while the parcel outruns a wheel that the law takes to be faster (changes)
 STEPS_LEFT: Final = 6  # of those allowed so far (changes)
 STEPS_PER_SECOND: Final = 7  # allowed; infinite where steps are fixed
-PACE_SIZE: Final = 8
+LOCATES: Final = 8  # 1 where supports are held over a step, and their changes are located
+PACE_SIZE: Final = 9
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
-AX, AY, SX, SY, B, C, GX, GY, LX, LY = range(10)
-"""Underside above the cell: ``(w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c``, ``g``; multipliers L."""
-WHEEL_SIZE: Final = 10
+AX, AY, SX, SY, B, CX, CY, GX, GY, LX, LY = range(11)
+"""Underside above the cell: ``(w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c`` along each axis, ``g``;
+multipliers L."""
+WHEEL_SIZE: Final = 11
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

@@ -11,9 +11,9 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import fill, sampled_until
 from plant.kernels.common.jit import kernel
-from plant.kernels.implicit.advance import decay, find_loads
 from plant.kernels.implicit.step import grasp, pull, sign
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
+from plant.kernels.implicit.supports import decay, find_loads
 
 NOW = 0.0
 """Forces are those of this instant, not those of an instant ahead. Named, for the compiler: see ``layout.ZERO``."""
@@ -22,7 +22,7 @@ NOW = 0.0
 @kernel
 def sliding(row, w, isotropic):
     """Force of one cell's wheels under a set-valued law taken for a function: none at no slip, all of it else."""
-    c = row[im.C]
+    c = row[im.CX]
     rx, ry = row[im.SX] - w[0] - row[im.AX] * w[2], row[im.SY] - w[1] - row[im.AY] * w[2]
     if isotropic == 0.0:
         return c * sign(rx), c * sign(ry)

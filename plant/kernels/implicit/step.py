@@ -8,7 +8,7 @@ smooth; where a force is set-valued (Coulomb's at no slip) an augmented Lagrangi
 
 from __future__ import annotations
 
-from math import isfinite, nan
+from math import exp, isfinite, nan
 
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
@@ -31,13 +31,14 @@ def clamped(q, b, c):
 @kernel
 def pull(row, w, isotropic):
     """Force of one cell's wheels without the push, and its derivative by slip: (fx, fy, kxx, kxy, kyy)."""
-    b, c = row[im.B], row[im.C]
+    b = row[im.B]
     qx = row[im.LX] + b * (row[im.SX] - w[0] - row[im.AX] * w[2])
     qy = row[im.LY] + b * (row[im.SY] - w[1] - row[im.AY] * w[2])
     if isotropic == 0.0:
-        fx, kx = clamped(qx, b, c)
-        fy, ky = clamped(qy, b, c)
+        fx, kx = clamped(qx, b, row[im.CX])
+        fy, ky = clamped(qy, b, row[im.CY])
         return fx, fy, kx, 0.0, ky
+    c = row[im.CX]
     size = (qx * qx + qy * qy) ** 0.5
     if size <= c:
         return qx, qy, b, 0.0, b
@@ -68,6 +69,15 @@ def sign(value):
 
 
 @kernel
+def hold_branches(mem, i, row, limit):
+    """Let the wheels of member ``i`` pull as on the branches that they are on, wherever the slip leads."""
+    for axis in range(2):
+        branch = mem[i, at.BRANCH + axis]
+        row[im.CX + axis] = 1e300 if branch == 0 else 0.0
+        row[im.GX + axis] += branch * limit
+
+
+@kernel
 def grasp(surface, parcel, work, law, e, h):
     """List the wheels that pull, with the law's coefficients at the loads that ``settle`` found. Returns how many.
 
@@ -80,6 +90,10 @@ def grasp(surface, parcel, work, law, e, h):
     mx, my = ahead_x - seg[at.CX], ahead_y - seg[at.CY]
     a0, bx, by = plane_at(surface, seg, mx, my)
     arm = work.pace[im.GYRATION]
+    # past the instant at which a support is lifted its load goes on falling, until the step is ended there
+    continues = work.pace[im.LOCATES] != 0.0 and law[im.WHEEL] == 0.0
+    # a wheel that turns round does so at the end of a step: which way it runs is asked in the middle
+    midway = e * exp(0.5 * parcel.par[at.RATE] * h) if law[im.PUSH_PER_SHARE] != 0.0 and e > 0.0 else e
     count = at.ZERO
     for i in range(parcel.ctl[at.N_MEMBERS]):
         cell = mem[i, at.CELL]
@@ -87,16 +101,24 @@ def grasp(surface, parcel, work, law, e, h):
             continue
         rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
         pressed = a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]) - gap(surface, cell)
-        share = max(stiffness(surface, cell, i) * pressed, 0.0)
+        share = stiffness(surface, cell, i) * pressed
+        if share < 0.0 and not continues:
+            share = 0.0
         vx, vy = unloaded(surface, cell, e)
         row = wheels[count]
         row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
         row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
         row[im.B] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * share
-        row[im.C] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * share
-        push = law[im.PUSH_PER_SHARE] * share
-        row[im.GX], row[im.GY] = push * sign(vx), push * sign(vy)
+        limit = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * share
+        row[im.CX] = row[im.CY] = max(limit, 0.0)
+        row[im.GX] = row[im.GY] = 0.0
+        if law[im.PUSH_PER_SHARE] != 0.0:
+            vx, vy = unloaded(surface, cell, midway)
+            push = law[im.PUSH_PER_SHARE] * share
+            row[im.GX], row[im.GY] = push * sign(vx), push * sign(vy)
         row[im.LX] = row[im.LY] = 0.0
+        if law[im.LOCATED] != 0.0:
+            hold_branches(mem, i, row, limit)
         lighten(work, parcel, count, cell, share, h)
         count += 1
     return count
@@ -232,9 +254,9 @@ def stick(work, count, isotropic, w):
         row = wheels[i]
         scale = max(scale, abs(row[im.SX]), abs(row[im.SY]))
         if isotropic == 0.0:
-            holds_x, holds_y = abs(row[im.LX]) < row[im.C], abs(row[im.LY]) < row[im.C]
+            holds_x, holds_y = abs(row[im.LX]) < row[im.CX], abs(row[im.LY]) < row[im.CY]
         else:
-            holds_x = holds_y = (row[im.LX] * row[im.LX] + row[im.LY] * row[im.LY]) ** 0.5 < row[im.C]
+            holds_x = holds_y = (row[im.LX] * row[im.LX] + row[im.LY] * row[im.LY]) ** 0.5 < row[im.CX]
         if holds_x:
             agree_x, sx, stuck_x = agree_x and (not stuck_x or row[im.SX] == sx), row[im.SX], True
         if holds_y:
@@ -280,9 +302,9 @@ def regime(work, count, isotropic, w):
         row = work.wheels[i]
         fx, fy, _, _, _ = pull(row, w, isotropic)
         if isotropic == 0.0:
-            x = sign(fx) if abs(fx) >= row[im.C] else 0.0
-            y = sign(fy) if abs(fy) >= row[im.C] else 0.0
-        elif (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.C]:
+            x = sign(fx) if abs(fx) >= row[im.CX] else 0.0
+            y = sign(fy) if abs(fy) >= row[im.CY] else 0.0
+        elif (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.CX]:
             # in quarters: slip that turns round must not look like slip that went on
             x, y = sign(fx), sign(fy)
         else:
