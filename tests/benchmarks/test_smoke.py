@@ -59,6 +59,9 @@ SCRIPTS: dict[str, Smoke] = {
     "plant/accuracy_elliptic.py": Smoke("--repeats 1 --quick", rf"the next takes {N} times as long"),
     "plant/captured_chatter.py": Smoke("--scenes 20", rf"scene +\d+: {N} m, nudged {N} m"),
     "plant/chatter_cost.py": Smoke("--turns 1 --quick", rf"dearest .* {N} times as much whole, {N} in ticks"),
+    "plant/contact_queues.py": Smoke(
+        "--sizes 2 --ticks 5 --turns 1", rf"2 +{N} +{N} +{N} +{N} +{N} +{N} +{N}"
+    ),
     "plant/emerging_friction.py": Smoke("--seeds 2 --quick", rf"8 +{N} \+- {N} +{N} +{N} +{N}"),
     "plant/exact_against_scipy.py": Smoke("--turns 1 --runs 1", rf"exact is {N} times as fast"),
     "plant/faults_cost.py": Smoke("--turns 1", rf"partition +{N} us +{N} \({N} to {N}\)"),
@@ -86,7 +89,7 @@ SCRIPTS: dict[str, Smoke] = {
     "protocols/vehicle_over_bad_links.py": Smoke("--seeds 1", rf" {N} of {N}\s*$"),
 }
 
-NEEDS = {"plant/mujoco_parcel.py": "mujoco"}
+NEEDS = {"plant/contact_queues.py": "mujoco", "plant/mujoco_parcel.py": "mujoco"}
 """Packages that come with an extra."""
 
 
