@@ -73,3 +73,16 @@ def test_what_is_left_of_a_contact_problem_is_told(monkeypatch: pytest.MonkeyPat
     assert told.detail == (
         "among parcels [0, 1, 2]: 2 problems solved without friction; velocities miss by up to 0.001 m/s"
     )
+
+
+def test_deep_overlap_is_taken_out_about_the_centre_of_mass_and_told() -> None:
+    bench = plant(box(-0.3, 0.0), box(0.3, 0.05, 0.2), mu=0.5)
+    state = bench.state[1].copy()
+    state[:2] = -0.1, 0.02
+    bench._solver.set_state(1, state)
+    middle = bench.state[:, :2].mean(axis=0)
+    assert least_gap(bench) < -0.04
+    (told,) = (event for event in run(bench, still(bench), 0.004_096) if event.kind == "parted")
+    assert "overlap of up to 0.0" in told.detail
+    assert 0.0 <= least_gap(bench) < 1e-3
+    assert bench.state[:, :2].mean(axis=0) == pytest.approx(middle, abs=1e-12)
