@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 METHODS: tuple[Settings, ...] = (
     {"name": "heyoka", "tolerance": 1e-14},
     {"name": "scipy", "method": "DOP853", "tolerance": 1e-13, "max_step_s": 2e-3},
-    {"name": "implicit", "tolerance": 1e-11},
+    {"name": "implicit", "tolerance": 1e-11, "capture_m": 1e-12},
 )
 """Methods that are not the one in question, the finest first; SciPy's is held to steps that lose no longer crossing."""
 FINEST: Settings = {"name": "exact", "tolerance": 1e-14}

@@ -16,7 +16,7 @@ from deploy.studies.accuracy.sweep import with_solver
 from deploy.studies.accuracy.trace import run_trace
 from plant.solvers import restarting as restarted
 
-IMPLICIT = {"name": "implicit", "tolerance": 1e-11}
+IMPLICIT = {"name": "implicit", "tolerance": 1e-11, "capture_m": 1e-12}
 CHATTERS = ("parcels.0.size_m=[0.4,0.42]", "parcels.0.position_m=[0.0,0.0]", "parcels.0.angle_rad=1.125")
 """The scene of ever shorter swings, begun where they are."""
 
@@ -63,7 +63,7 @@ def test_the_reference_without_heyoka_is_heyoka_s_to_1e_12_on_20_random_scenes()
 def test_the_reference_of_the_core_is_exact_s_to_1e_12() -> None:
     for scene in random_scenes(4, 0.4096):
         reference = ReferenceSolver(scene, limit_s=60.0, methods=METHODS[2:]).solve()
-        assert reference.method == "implicit, tolerance 1e-11"
+        assert reference.method == "implicit, tolerance 1e-11, capture_m 1e-12"
         by = {one.method: one for one in reference.agreement}
         assert set(by) == {"closed form", "exact, tolerance 1e-14"}
         assert max(one.apart_m for one in reference.agreement) < 1e-12
@@ -94,7 +94,7 @@ def test_a_law_that_one_solver_has_is_checked_by_a_crude_one_and_that_is_said() 
 
 def test_events_are_compared_before_chatter_and_its_end_by_every_crossing_located() -> None:
     scene = without_cells(load_scene("elliptic", list(CHATTERS), duration=3.0))
-    method = {"name": "implicit", "tolerance": 1e-7}
+    method = {"name": "implicit", "tolerance": 1e-7, "capture_m": 1e-10}
     reference = ReferenceSolver(scene, limit_s=60.0, methods=[method]).solve()
     assert reference.chatter_s is not None
     first = next(e.time_s for e in run_trace(scene).events if e.kind == "captured")

@@ -53,8 +53,12 @@ def shown(capsys: pytest.CaptureFixture[str], *rows: AblationRow) -> tuple[dict[
     ],
 )
 def test_a_row_has_the_largest_displacement_its_time_the_end_and_the_cost_with_its_noise(
-    capsys: pytest.CaptureFixture[str], settled_s: tuple[float | None, float | None], rests: str
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    settled_s: tuple[float | None, float | None],
+    rests: str,
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "150")
     row = AblationRow(
         name="motors",
         on=True,
