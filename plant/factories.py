@@ -89,11 +89,13 @@ def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
         return None
     from plant.effects.parcel_contact.mover import ContactMover
 
+    rollers = spec.effects.roller_drag
     # the spec lets only solvers be chosen that can go back
     return ContactMover(
         spec.with_fed().parcels,
         spec.friction.traction(),
         spec.gravity_m_s2,
+        0.0 if rollers is None else rollers.drag_s_per_m,
         spec.array.pitch_m,
         contact,
         cast("Rewindable", solver),

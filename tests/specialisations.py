@@ -61,6 +61,7 @@ TOUCHING = ({"position_m": (-0.1251, 0.0), "velocity_m_s": (0.5, 0.0)}, {"positi
 UNEVEN = {"uneven_supports": {"stiffness_n_per_m": 3e3, "height_spread_m": 1e-4}}
 WIDE = {"contact_width": {"width_m": 0.03}}
 ROLLERS = {"roller_impacts": {"spacing_m": 4e-3, "impulse_s": 8e-5}}
+DRAGGED = {"roller_drag": {"drag_s_per_m": 0.02}}
 LOADED = {"motors": {}, "wheel_load": {"inertia_kg": 0.05}}
 
 SPECIALISATIONS = (
@@ -79,11 +80,15 @@ SPECIALISATIONS = (
     Specialisation("implicit_uneven", 14, "implicit", UNEVEN, needed="slow"),
     Specialisation("implicit_wide", 14, "implicit", WIDE, needed="slow"),
     Specialisation("implicit_uneven_wide", 14, "implicit", UNEVEN | WIDE, needed="slow"),
+    Specialisation("implicit_dragged", 14, "implicit", DRAGGED, needed="slow"),
+    Specialisation("implicit_loaded_dragged", 15, "implicit", LOADED | DRAGGED, needed="slow"),
     Specialisation("implicit_rollers", 14, "implicit", ROLLERS, needed="slow"),
     Specialisation("quasi_static_uneven", 5, "quasi_static", UNEVEN, needed="slow"),
     Specialisation("quasi_static_wide", 5, "quasi_static", WIDE, needed="slow"),
+    Specialisation("quasi_static_dragged", 5, "quasi_static", DRAGGED, needed="slow"),
     Specialisation("fixed_step_uneven", 4, "fixed_step", UNEVEN, needed="slow"),
     Specialisation("fixed_step_wide", 4, "fixed_step", WIDE, needed="slow"),
+    Specialisation("fixed_step_dragged", 4, "fixed_step", DRAGGED, needed="slow"),
 )
 """All of them. A new combination of a solver and effects that tests use is an entry here."""
 

@@ -11,6 +11,7 @@ from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.feeders.spec import FeedersSpec
 from plant.effects.motors import MotorsSpec
 from plant.effects.parcel_contact.spec import ParcelContactSpec
+from plant.effects.roller_drag import RollerDragSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
 from plant.effects.scanners.spec import ScannersSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
@@ -25,6 +26,7 @@ class PlantEffects(Effects):
     contact_width: ContactWidthSpec | None = None
     roller_impacts: RollerImpactsSpec | None = None
     wheel_load: WheelLoadSpec | None = None
+    roller_drag: RollerDragSpec | None = None
     feeders: FeedersSpec | None = None
     parcel_contact: ParcelContactSpec | None = None
     analogue_sensors: AnalogueSensorsSpec | None = None

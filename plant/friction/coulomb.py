@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, final
 
-from bus.spec import Positive
+from bus.spec import NotNegative, Positive
 from plant.friction.law import FrictionLaw, Traction
 
 
@@ -15,6 +15,9 @@ class Coulomb(FrictionLaw):
     Dissipation potential ``mu N |r|``, of each axis (a box per cell) or of the slip's magnitude (a circular cone).
     The two differ in kind: driven along a diagonal, two independent wheels pull with the square root of 2 times as
     much, and one that slips leaves the other its whole grip.
+
+    With ``viscous_n_s_per_m`` b the force at a slipping wheel is ``mu N sign(r) + b r``, and the potential has
+    ``b |r|^2 / 2`` beside it.
     """
 
     law: Literal["coulomb"]
@@ -22,9 +25,14 @@ class Coulomb(FrictionLaw):
     """Coulomb coefficient: largest traction per newton of load, dimensionless."""
     contact: Literal["independent_wheels", "isotropic"] = "independent_wheels"
     """Friction cone: each wheel of a cell slips independently, or both wheels share a circular cone."""
+    viscous_n_s_per_m: NotNegative = 0.0
+    """Viscous part of a wheel's traction, per m/s of slip, in addition to the Coulomb part and whatever the load."""
 
     def traction(self) -> Traction:
         """``b`` infinite, ``c = mu N``."""
         return Traction(
-            limit_per_load=self.coefficient, set_valued=True, isotropic=self.contact == "isotropic"
+            limit_per_load=self.coefficient,
+            viscous=self.viscous_n_s_per_m,
+            set_valued=True,
+            isotropic=self.contact == "isotropic",
         )

@@ -21,7 +21,7 @@ from plant.kernels.common.parcels import Parcel
 from plant.solver_api import AdvanceResult, Segment
 from plant.solver_specs import ImplicitSpec, QuasiStaticSpec
 from plant.solvers.compiled import AdvanceArgs, ThreadedSolver, ThreadWorkspace
-from plant.solvers.springs import make_edges, make_rollers, make_springs
+from plant.solvers.springs import make_drag, make_edges, make_rollers, make_springs
 from plant.solvers.wheel_load import WheelLoadSum, WheelLoadWorkspace, load_wheels, make_slowing
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -95,6 +95,7 @@ def coefficients(traction: Traction, mass_kg: float, gravity_m_s2: float) -> Flo
     law[implicit_layout.LIMIT_PER_SHARE] = traction.limit_per_load * gravity_m_s2
     law[implicit_layout.FREE_SPEED] = traction.free_speed
     law[implicit_layout.PUSH_PER_SHARE] = traction.push_per_load * gravity_m_s2
+    law[implicit_layout.VISCOUS] = traction.viscous / mass_kg
     law[implicit_layout.SET_VALUED] = float(traction.set_valued)
     law[implicit_layout.ISOTROPIC] = float(traction.isotropic)
     return law
@@ -143,6 +144,7 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
         self._springs = make_springs(scene, array)
         self._edges = make_edges(scene, self.capacity)
         self._rollers = make_rollers(scene, array)
+        self._drag = make_drag(scene)
         self._loaded = scene.effects.wheel_load is not None
         self._handed = WheelLoadSum()
         self._laws: Floats = np.zeros((len(masses), implicit_layout.LAW_SIZE))
@@ -171,7 +173,9 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
         self, workspace: ThreadWorkspace[ImplicitWorkspace], block: NDArray[np.int64], errand: AdvanceArgs
     ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
-        surface = surface._replace(springs=self._springs, edges=self._edges, rollers=self._rollers)
+        surface = surface._replace(
+            springs=self._springs, edges=self._edges, rollers=self._rollers, drag=self._drag
+        )
         laws, paces = self._laws, self._paces
         done = self._entry.advance_block(
             surface,

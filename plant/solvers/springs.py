@@ -54,6 +54,18 @@ def make_edges(scene: PlantSpec, capacity: int) -> AllEdges | None:
     return AllEdges(wide.width_m, np.zeros((len(scene.parcels), capacity)))
 
 
+def make_drag(scene: PlantSpec) -> float | None:
+    """Drag of the rollers under a parcel's whole weight over its mass, 1/s; None where rollers are free.
+
+    Kernels compiled after this call include the drag, if the scene has it.
+    """
+    dragging = scene.effects.roller_drag
+    if dragging is None:
+        return None
+    import_module("plant.kernels.effects.roller_drag")
+    return dragging.drag_s_per_m * scene.gravity_m_s2
+
+
 def make_rollers(scene: PlantSpec, array: CellArray) -> AllRollers | None:
     """Build the roller positions of each wheel for each parcel; None where wheels are smooth.
 

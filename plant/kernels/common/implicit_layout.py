@@ -17,8 +17,9 @@ FREE_SPEED: Final = 4  # share of the surface speed
 PUSH_PER_SHARE: Final = 5  # m/s^2
 SET_VALUED: Final = 6  # 1 where the stiffness is infinite
 ISOTROPIC: Final = 7  # 1 where both axes of a cell share one limit
-WHEEL: Final = 8  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
-LAW_SIZE: Final = 9
+VISCOUS: Final = 8  # 1/s, by slip, beside the limited part and without a limit
+WHEEL: Final = 9  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
+LAW_SIZE: Final = 10
 
 # ── pace: float64 settings and memory of one parcel
 GYRATION: Final = 0  # m
@@ -32,9 +33,10 @@ STEPS_PER_SECOND: Final = 7  # allowed; infinite where steps are fixed
 PACE_SIZE: Final = 8
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
-AX, AY, SX, SY, B, C, GX, GY, LX, LY = range(10)
-"""Underside above the cell: ``(w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c``, ``g``; multipliers L."""
-WHEEL_SIZE: Final = 10
+AX, AY, SX, SY, B, C, GX, GY, LX, LY, K = range(11)
+"""Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c``; multipliers L. Forces
+without a limit are ``G - K v``: the law's push and viscous part, and other resistance to the underside's motion."""
+WHEEL_SIZE: Final = 11
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

@@ -73,7 +73,15 @@ def surface_under(surface, i):
     """The surface as parcel ``i`` feels it."""
     springs, edges, rollers = springs_under(surface, i), edges_under(surface, i), rollers_under(surface, i)
     return Surface(
-        surface.pos, surface.grid, surface.steady, surface.decay, surface.grip, springs, edges, rollers
+        surface.pos,
+        surface.grid,
+        surface.steady,
+        surface.decay,
+        surface.grip,
+        springs,
+        edges,
+        rollers,
+        surface.drag,
     )
 
 

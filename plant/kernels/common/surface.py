@@ -116,3 +116,5 @@ class Surface(NamedTuple):
     springs: Springs | AllSprings | None = None
     edges: Edges | AllEdges | None = None
     rollers: Rollers | AllRollers | None = None
+    drag: float | None = None
+    """Of the rollers under the whole weight, 1/s (see ``plant.kernels.effects.roller_drag``)."""

@@ -12,7 +12,7 @@ from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import fill, sampled_until
 from plant.kernels.common.jit import kernel
 from plant.kernels.implicit.advance import decay, find_loads
-from plant.kernels.implicit.step import grasp, pull, sign
+from plant.kernels.implicit.step import grasp, pull, sign, unlimited
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
 
 NOW = 0.0
@@ -45,8 +45,9 @@ def rate(surface, parcel, work, e, slope):
             force_x, force_y, _, _, _ = pull(row, w, law[im.ISOTROPIC])
         else:
             force_x, force_y = sliding(row, w, law[im.ISOTROPIC])
-        force_x += row[im.GX]
-        force_y += row[im.GY]
+        beside_x, beside_y = unlimited(row, w)
+        force_x += beside_x
+        force_y += beside_y
         along_x += force_x
         along_y += force_y
         turn += row[im.AX] * force_x + row[im.AY] * force_y

@@ -16,6 +16,7 @@ from plant.kernels.common.jit import kernel
 from plant.kernels.common.motion import solve
 from plant.kernels.common.springs import gap, plane_at, stiffness
 from plant.kernels.implicit.hooks import lighten, unloaded
+from plant.kernels.implicit.traction_hooks import drag
 
 
 @kernel
@@ -30,7 +31,7 @@ def clamped(q, b, c):
 
 @kernel
 def pull(row, w, isotropic):
-    """Force of one cell's wheels without the push, and its derivative by slip: (fx, fy, kxx, kxy, kyy)."""
+    """The limited force of one cell's wheels, and its derivative by slip: (fx, fy, kxx, kxy, kyy)."""
     b, c = row[im.B], row[im.C]
     qx = row[im.LX] + b * (row[im.SX] - w[0] - row[im.AX] * w[2])
     qy = row[im.LY] + b * (row[im.SY] - w[1] - row[im.AY] * w[2])
@@ -43,6 +44,13 @@ def pull(row, w, isotropic):
         return qx, qy, b, 0.0, b
     ex, ey, k = qx / size, qy / size, b * c / size
     return c * ex, c * ey, k * ey * ey, -k * ex * ey, k * ex * ex
+
+
+@kernel
+def unlimited(row, w):
+    """Force at one cell that no limit holds for: the law's push and viscous part, and what drags, ``G - K v``."""
+    vx, vy = w[0] + row[im.AX] * w[2], w[1] + row[im.AY] * w[2]
+    return row[im.GX] - row[im.K] * vx, row[im.GY] - row[im.K] * vy
 
 
 EPSILON = 2.3e-16
@@ -97,7 +105,12 @@ def grasp(surface, parcel, work, law, e, h):
         push = law[im.PUSH_PER_SHARE] * share
         row[im.GX], row[im.GY] = push * sign(vx), push * sign(vy)
         row[im.LX] = row[im.LY] = 0.0
+        row[im.K] = law[im.VISCOUS]
         lighten(work, parcel, count, cell, share, h)
+        if law[im.VISCOUS] != 0.0:
+            row[im.GX] += row[im.K] * row[im.SX]
+            row[im.GY] += row[im.K] * row[im.SY]
+        row[im.K] += drag(surface, share)
         count += 1
     return count
 
@@ -115,9 +128,10 @@ def slope(work, count, isotropic, h, w):
         row = wheels[i]
         ax, ay = row[im.AX], row[im.AY]
         fx, fy, kxx, kxy, kyy = pull(row, w, isotropic)
-        fx, fy = h * (fx + row[im.GX]), h * (fy + row[im.GY])
+        gx, gy = unlimited(row, w)
+        fx, fy = h * (fx + gx), h * (fy + gy)
         impulses += abs(fx) + abs(fy)
-        kxx, kxy, kyy = h * kxx, h * kxy, h * kyy
+        kxx, kxy, kyy = h * (kxx + row[im.K]), h * kxy, h * (kyy + row[im.K])
         grad[0] -= fx
         grad[1] -= fy
         grad[2] -= ax * fx + ay * fy
@@ -257,10 +271,13 @@ def new_velocity(work, count, law, h, w):
         w[k] = work.start[k]
     if law[im.SET_VALUED] == 0.0 or count == 0:
         return minimise(work, count, isotropic, h, w) >= 0.0
-    weight = FIRST_WEIGHT
+    weight, inertia = FIRST_WEIGHT, 1.0
+    for i in range(count):
+        # what resists without a limit holds the parcel as its inertia does
+        inertia += h * work.wheels[i, im.K]
     for _ in range(MULTIPLIER_STEPS):
         for i in range(count):
-            work.wheels[i, im.B] = weight / (h * count)
+            work.wheels[i, im.B] = weight * inertia / (h * count)
         scale = minimise(work, count, isotropic, h, w)
         if not scale >= 0.0:
             return False

@@ -42,7 +42,7 @@ def stopping_time(work, count, law):
         speed = max(speed, abs(start[k]))
     for i in range(count):
         row = wheels[i]
-        resistance += row[im.B]
+        resistance += row[im.B] + row[im.K]
         limit += row[im.C]
         speed = max(speed, abs(row[im.SX]), abs(row[im.SY]))
     if speed == 0.0:

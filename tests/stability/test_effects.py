@@ -1,0 +1,127 @@
+"""Effects on traction and loads, put to the solvers that simulate them: closed forms, rest, energy, extremes."""
+
+from __future__ import annotations
+
+from math import expm1
+
+import numpy as np
+import pytest
+
+from plant.parcel_spec import ParcelSpec
+from plant.plant import Plant
+from tests.plant.laws import LAWS, MU
+from tests.plant.scenes import SECOND, TICK_NS, Floats, G, elliptic, parcel
+from tests.stability.solvers import Claim, Solver, claiming
+
+pytestmark = pytest.mark.slow  # kernels of effects are compiled
+
+MILLI = SECOND // 1_000
+EVERY_LAW = ["viscous", "coulomb", "cone", "rolling", "stick_slip"]
+DRAG = 0.05
+DRAGGED = {"roller_drag": {"drag_s_per_m": DRAG}}
+
+
+def _over_all(**values: object) -> ParcelSpec:
+    """A parcel over all of nine by nine cells for ever."""
+    return parcel(**({"size_m": (2.0, 2.0), "position_m": (0.0, 0.0), "angle_rad": 0.0} | values))
+
+
+def _uniform(plant: Plant, vx: float, vy: float = 0.0) -> Floats:
+    return np.tile([vx, vy], (len(plant.array), 1))
+
+
+def _energy(plant: Plant, body: ParcelSpec) -> float:
+    """Of the parcel's motion, J."""
+    vx, vy, omega = plant.state[0, 3:]
+    inertia = body.moment_of_inertia_kg_m2()
+    return float(0.5 * body.mass_kg * (vx * vx + vy * vy) + 0.5 * inertia * omega * omega)
+
+
+# --- roller_drag --------------------------------------------------------------------------------------------------
+
+
+@claiming(Claim.MOTION, effect="roller_drag")
+def test_dragged_rollers_leave_a_parcel_its_share_of_the_wheels_speed(solver: Solver) -> None:
+    """``dU/dt = mu g (V - U) - d g U``."""
+    plant = solver.plant(_over_all(), rows=9, columns=9, effects=DRAGGED)
+    plant.advance(_uniform(plant, 0.2), SECOND // 2)
+    total = 0.2 + DRAG
+    known = 0.2 * 0.2 / total * -expm1(-total * G * 0.5)
+    assert plant.state[0, 3] == pytest.approx(known, abs=solver.within(1e-12))
+
+
+@claiming(Claim.ORDER, effect="roller_drag")
+def test_errors_of_a_dragged_parcel_fall_with_the_steps(solver: Solver) -> None:
+    total = 0.2 + DRAG
+    known = 0.2 * 0.2 / total * -expm1(-total * G * 0.5)
+    off = []
+    for step_s in (0.05, 0.025, 0.0125):
+        plant = solver.plant(_over_all(), rows=9, columns=9, effects=DRAGGED, solver={"step_s": step_s})
+        plant.advance(_uniform(plant, 0.2), SECOND // 2)
+        off.append(abs(plant.state[0, 3] - known))
+    assert np.all(np.log2(np.array(off[:-1]) / off[1:]) > 0.9)
+
+
+@claiming(Claim.REST, laws=EVERY_LAW, effect="roller_drag")
+def test_a_parcel_at_rest_on_dragged_rollers_stays_at_rest(solver: Solver, law: str) -> None:
+    plant = solver.plant(parcel(angle_rad=0.37), law=LAWS[law], effects=DRAGGED)
+    before = plant.state
+    for tick in range(1, 50):
+        _, events = plant.advance(np.zeros((400, 2)), tick * TICK_NS)
+        assert events == []
+    assert np.array_equal(plant.state, before)
+
+
+@claiming(Claim.ENERGY, laws=EVERY_LAW, effect="roller_drag")
+def test_steps_of_any_length_gain_no_energy_from_rollers_however_stiff(solver: Solver, law: str) -> None:
+    body = parcel(velocity_m_s=(0.3, 0.1), angular_velocity_rad_s=2.0)
+    plant = solver.plant(
+        body, law=LAWS[law], effects={"roller_drag": {"drag_s_per_m": 1e6}}, solver={"step_s": 0.5}
+    )
+    before = _energy(plant, body)
+    for tick in range(1, 6):
+        plant.advance(np.zeros((400, 2)), tick * SECOND // 20)
+        after = _energy(plant, body)
+        assert after <= before
+        before = after
+
+
+@claiming(Claim.STIFFNESS, effect="roller_drag")
+@pytest.mark.parametrize("drag", [1e-9, 1e6])
+def test_drag_of_any_size_is_followed(solver: Solver, drag: float) -> None:
+    plant = solver.plant(
+        _over_all(), rows=9, columns=9, effects={"roller_drag": {"drag_s_per_m": drag}}, solver={}
+    )
+    plant.advance(_uniform(plant, 0.2), SECOND)
+    total = 0.2 + drag
+    known = 0.2 * 0.2 / total * -expm1(-total * G)
+    # a constant step is of first order
+    bound = solver.within(1e-9) if solver.claims(Claim.MOTION) else 0.02 * known
+    assert plant.state[0, 3] == pytest.approx(known, abs=bound)
+
+
+@claiming(Claim.SYMMETRY, laws=EVERY_LAW, effect="roller_drag")
+def test_a_quarter_turn_of_a_dragged_scene_turns_its_motion(solver: Solver, law: str) -> None:
+    ends = []
+    for turn in (0.0, 0.5 * np.pi):
+        c, s = round(np.cos(turn)), round(np.sin(turn))
+        quarter = np.array([[c, s], [-s, c]])
+        place = np.array([0.12, 0.07]) @ quarter
+        body = parcel(position_m=tuple(place.tolist()), angle_rad=0.4 + turn)
+        plant = solver.plant(body, law=LAWS[law], effects=DRAGGED)
+        wheels = elliptic(plant) if turn == 0.0 else elliptic(plant, -2.0, -1.0)
+        plant.advance(wheels, 300 * MILLI)
+        state = plant.state[0]
+        ends.append([*(quarter @ state[:2]), state[2] - turn, *(quarter @ state[3:5]), state[5]])
+    assert ends[1] == pytest.approx(ends[0], abs=solver.within(1e-11))
+
+
+@claiming(Claim.STICKING, laws=["coulomb", "cone"], effect="roller_drag")
+def test_wheels_that_overcome_the_drag_carry_a_parcel_at_their_speed_to_the_bit(
+    solver: Solver, law: str
+) -> None:
+    """Below ``mu / d`` it sticks."""
+    plant = solver.plant(_over_all(), law=LAWS[law], rows=9, columns=9, effects=DRAGGED)
+    assert MU / DRAG > 0.2
+    plant.advance(_uniform(plant, 0.2), SECOND // 2)
+    assert plant.state[0, 3:].tolist() == [0.2, 0.0, 0.0]
