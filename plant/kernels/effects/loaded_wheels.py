@@ -10,8 +10,8 @@ parcel,
 
 so wheel and law together are a law again, of the slip against a wheel that the step leaves alone: its stiffness is
 ``1 / (1/b + rho)``, its limit the same, and nothing is set-valued. With a viscous part k beside the limited one and
-``q = 1 + rho k`` they are ``1 / (q (q/b + rho))`` and ``c / q``, beside a viscous part ``k / q``. A push that goes by the
-sign of the wheel's own speed is the force that brings the wheel to a stand, ``V / rho``, within its limit.
+``q = 1 + rho k`` they are ``1 / (q (q/b + rho))`` and ``c / q``, beside a viscous part ``k / q``. A push that goes by
+the sign of the wheel's own speed is the force that brings the wheel to a stand, ``V / rho``, within its limit.
 """
 
 from __future__ import annotations
