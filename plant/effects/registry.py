@@ -14,6 +14,7 @@ from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.effects.roller_drag import RollerDragSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
 from plant.effects.scanners.spec import ScannersSpec
+from plant.effects.uneven_friction import UnevenFrictionSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
 from plant.effects.wheel_load import WheelLoadSpec
 
@@ -24,6 +25,7 @@ class PlantEffects(Effects):
     motors: MotorsSpec | None = None
     uneven_supports: UnevenSupportsSpec | None = None
     contact_width: ContactWidthSpec | None = None
+    uneven_friction: UnevenFrictionSpec | None = None
     roller_impacts: RollerImpactsSpec | None = None
     wheel_load: WheelLoadSpec | None = None
     roller_drag: RollerDragSpec | None = None

@@ -31,6 +31,7 @@ class Traction(NamedTuple):
         push_per_load: dimensionless.
         viscous: N s/m; this part has no limit.
         set_valued: ``b`` is infinite; ``stiffness`` and ``stiffness_per_load`` are not read.
+        static_ratio: limit of a wheel that sticks over ``c``, which is that of one that slips; 1 where they are equal.
         isotropic: the two axes of a cell share one limit: ``b r`` is projected on a disc of radius c.
     """
 
@@ -42,6 +43,7 @@ class Traction(NamedTuple):
     push_per_load: float = 0.0
     viscous: float = 0.0
     set_valued: bool = False
+    static_ratio: float = 1.0
     isotropic: bool = False
 
 
@@ -55,6 +57,17 @@ class FrictionLaw(Spec):
     @abstractmethod
     def traction(self) -> Traction:
         """The law's coefficients."""
+
+    @property
+    def solvers(self) -> tuple[str, ...] | None:
+        """Names of the solvers that know these parameters of the law; None: all that solve the law."""
+        return None
+
+    @property
+    def by_load(self) -> bool:
+        """Whether the traction, or the limit of the traction, is in proportion to the load."""
+        traction = self.traction()
+        return any((traction.stiffness_per_load, traction.limit_per_load, traction.push_per_load))
 
     @property
     def own_motors(self) -> bool:

@@ -21,7 +21,14 @@ from plant.kernels.common.parcels import Parcel
 from plant.solver_api import AdvanceResult, Segment
 from plant.solver_specs import ImplicitSpec, QuasiStaticSpec
 from plant.solvers.compiled import AdvanceArgs, ThreadedSolver, ThreadWorkspace
-from plant.solvers.springs import make_drag, make_edges, make_rollers, make_springs
+from plant.solvers.springs import (
+    make_drag,
+    make_edges,
+    make_factors,
+    make_rollers,
+    make_springs,
+    make_stiction,
+)
 from plant.solvers.wheel_load import WheelLoadSum, WheelLoadWorkspace, load_wheels, make_slowing
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -129,7 +136,18 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
     """
 
     state_fields: ClassVar[StateFields] = StateFields(
-        shared=("_paces", "_rollers.passed", "_springs.moments", "_edges.share")
+        shared=(
+            "_paces",
+            "_rollers.passed",
+            "_stiction.grips",
+            "_stiction.counts",
+            "_stiction.begun",
+            "_stiction.found",
+            "_stiction.limits",
+            "_stiction.caught",
+            "_springs.moments",
+            "_edges.share",
+        )
     )
 
     def __init__(self, scene: PlantSpec, spec: ImplicitSpec, array: CellArray, rate: float) -> None:
@@ -145,6 +163,8 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
         self._edges = make_edges(scene, self.capacity)
         self._rollers = make_rollers(scene, array)
         self._drag = make_drag(scene)
+        self._factors = make_factors(scene, array)
+        self._stiction = make_stiction(scene, self.capacity)
         self._loaded = scene.effects.wheel_load is not None
         self._handed = WheelLoadSum()
         self._laws: Floats = np.zeros((len(masses), implicit_layout.LAW_SIZE))
@@ -167,14 +187,20 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
 
     def _memory(self) -> Sequence[NDArray[Any]]:
         passed = () if self._rollers is None else (self._rollers.passed,)
-        return *super()._memory(), self._paces, *passed
+        grips = () if self._stiction is None else (self._stiction.grips, self._stiction.counts)
+        return *super()._memory(), self._paces, *passed, *grips
 
     def _advance_block(
         self, workspace: ThreadWorkspace[ImplicitWorkspace], block: NDArray[np.int64], errand: AdvanceArgs
     ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
         surface = surface._replace(
-            springs=self._springs, edges=self._edges, rollers=self._rollers, drag=self._drag
+            springs=self._springs,
+            edges=self._edges,
+            rollers=self._rollers,
+            drag=self._drag,
+            stiction=self._stiction,
+            factors=self._factors,
         )
         laws, paces = self._laws, self._paces
         done = self._entry.advance_block(

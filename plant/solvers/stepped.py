@@ -12,7 +12,7 @@ from plant.array import CellArray
 from plant.kernels.common import implicit_layout, layout
 from plant.solvers.compiled import AdvanceArgs, ThreadedSolver, ThreadWorkspace
 from plant.solvers.implicit import FIRST_STEP_S, UNBOUNDED, coefficients
-from plant.solvers.springs import make_drag, make_edges, make_springs
+from plant.solvers.springs import make_drag, make_edges, make_factors, make_springs
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
@@ -50,6 +50,7 @@ class SteppedSolver(ThreadedSolver[Workspace]):
         self._springs = make_springs(scene, array)
         self._edges = make_edges(scene, self.capacity)
         self._drag = make_drag(scene)
+        self._factors = make_factors(scene, array)
         traction = scene.friction.traction()
         self._laws: Floats = np.zeros((len(scene.parcels), implicit_layout.LAW_SIZE))
         self._paces: Floats = np.zeros((len(scene.parcels), implicit_layout.PACE_SIZE))
@@ -65,7 +66,9 @@ class SteppedSolver(ThreadedSolver[Workspace]):
         self, workspace: ThreadWorkspace[Workspace], block: NDArray[np.int64], errand: AdvanceArgs
     ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
-        surface = surface._replace(springs=self._springs, edges=self._edges, drag=self._drag)
+        surface = surface._replace(
+            springs=self._springs, edges=self._edges, drag=self._drag, factors=self._factors
+        )
         laws, paces = self._laws, self._paces
         return self._entry.advance_block(
             surface,

@@ -25,6 +25,10 @@ DAMPED_CONE = Coulomb(law="coulomb", coefficient=MU, contact="isotropic", viscou
 SLIDING = CoulombSliding(law="coulomb_sliding", coefficient=MU)
 ROLLING = Rolling(law="rolling", **MOTORS)
 STICK_SLIP = StickSlip(law="stick_slip", coefficient=MU, **MOTORS)
+STATIC = Coulomb(law="coulomb", coefficient=MU, static_coefficient=0.45)
+STATIC_CONE = Coulomb(law="coulomb", coefficient=MU, static_coefficient=0.45, contact="isotropic")
+STATIC_LAWS: dict[str, FrictionSpec] = {"static": STATIC, "static_cone": STATIC_CONE}
+"""Laws that have kernels of their own."""
 LAWS: dict[str, FrictionSpec] = {
     "viscous": VISCOUS,
     "coulomb": COULOMB,

@@ -13,7 +13,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-EFFECTS = ("loaded_wheels", "roller_drag", "roller_impacts", "uneven_springs", "wheel_edges")
+EFFECTS = (
+    "loaded_wheels",
+    "roller_drag",
+    "roller_impacts",
+    "stiction",
+    "uneven_friction",
+    "uneven_springs",
+    "wheel_edges",
+)
 """The kernel modules that belong to effects."""
 
 SOLVERS = {

@@ -124,6 +124,18 @@ def test_coulomb_alone_a_ring_slides_and_spins_to_one_end_at_the_ratio_one() -> 
     assert 0.99 < fast[-1] < 1.1
 
 
+@pytest.mark.parametrize("steps", [{"step_s": 1e-3}, {"step_s": 1e-5}, {"tolerance": 1e-6}])
+def test_a_parcel_sticks_to_wheels_that_start_to_turn_in_steps_however_short(steps: dict[str, float]) -> None:
+    """Their speeds begin as differences of large numbers: what rounding leaves of the slip must not count as slip."""
+    body = parcel(size_m=(2.0, 2.0), position_m=(0.0, 0.0), angle_rad=0.0)
+    motors = MotorsSpec(time_constant_s=0.1, speed_per_volt_m_s=0.1, supply_v=1e6)
+    plant = lawful(COULOMB, body, motors=motors, rows=9, columns=9, **steps)
+    cells = plant.array.positions_m
+    plant.advance(0.5 * np.stack([-cells[:, 1], cells[:, 0]], axis=1), SECOND // 10_000)
+    assert plant.state[0, 5] == pytest.approx(0.05 * -np.expm1(-1e-3), rel=1e-11)
+    assert plant._solver.effort <= 10
+
+
 # --- Coulomb with viscous friction -------------------------------------------------------------------------------
 
 

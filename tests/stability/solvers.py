@@ -22,7 +22,7 @@ from plant.kernels.common import layout
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
 from plant.solver_specs import SolverSpec
-from tests.plant.laws import LAWS, VISCOUS
+from tests.plant.laws import LAWS, STATIC_LAWS, VISCOUS
 from tests.plant.scenes import solved
 
 LEVER_M = 0.1
@@ -78,7 +78,8 @@ class Solver:
     def solves(self, law: FrictionSpec) -> bool:
         """Whether it takes scenes with this law."""
         laws = SPEC.validate_python(self.settings).laws
-        return laws is None or law.law in laws
+        own = law.solvers is None or self.settings["name"] in law.solvers
+        return own and (laws is None or law.law in laws)
 
     def simulates(self, effect: str) -> bool:
         """Whether it takes scenes with this effect."""
@@ -243,7 +244,7 @@ def claiming(
     """Run a hard case with every solver that claims what it needs, and knows an effect where one is named.
 
     The test gets it as ``solver``. With ``laws`` it runs with each of them that the solver solves, and gets their names
-    of ``tests.plant.laws.LAWS`` as ``law``; without, scenes are viscous.
+    of ``tests.plant.laws`` as ``law``; without, scenes are viscous.
     """
 
     def parametrised(case: Case) -> Case:
@@ -253,7 +254,7 @@ def claiming(
                 name
                 for name, solver in SOLVERS.items()
                 if solver.claims(*needed)
-                and solver.solves(LAWS[law] if laws else VISCOUS)
+                and solver.solves((LAWS | STATIC_LAWS)[law] if laws else VISCOUS)
                 and (effect is None or solver.simulates(effect))
             ]
             assert able, f"{case.__name__}: no solver claims it under {law}"

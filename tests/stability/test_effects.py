@@ -9,7 +9,7 @@ import pytest
 
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
-from tests.plant.laws import LAWS, MU
+from tests.plant.laws import LAWS, MU, STATIC_LAWS
 from tests.plant.scenes import SECOND, TICK_NS, Floats, G, elliptic, parcel
 from tests.stability.solvers import Claim, Solver, claiming
 
@@ -125,3 +125,103 @@ def test_wheels_that_overcome_the_drag_carry_a_parcel_at_their_speed_to_the_bit(
     assert MU / DRAG > 0.2
     plant.advance(_uniform(plant, 0.2), SECOND // 2)
     assert plant.state[0, 3:].tolist() == [0.2, 0.0, 0.0]
+
+
+# --- static friction ----------------------------------------------------------------------------------------------
+
+STATIC = ["static", "static_cone"]
+
+
+@claiming(Claim.REST, laws=STATIC)
+def test_a_parcel_at_rest_on_wheels_that_hold_stays_at_rest(solver: Solver, law: str) -> None:
+    plant = solver.plant(parcel(angle_rad=0.37), law=STATIC_LAWS[law])
+    before = plant.state
+    for tick in range(1, 50):
+        _, events = plant.advance(np.zeros((400, 2)), tick * TICK_NS)
+        assert events == []
+    assert np.array_equal(plant.state, before)
+
+
+@claiming(Claim.ENERGY, laws=STATIC)
+@pytest.mark.parametrize("step_s", [1e-3, 0.05])
+def test_wheels_that_hold_more_than_they_drag_give_no_energy(solver: Solver, law: str, step_s: float) -> None:
+    body = parcel(velocity_m_s=(0.3, 0.1), angular_velocity_rad_s=5.0)
+    plant = solver.plant(body, law=STATIC_LAWS[law], solver={"step_s": step_s})
+    before = _energy(plant, body)
+    for tick in range(1, 11):
+        plant.advance(np.zeros((400, 2)), tick * SECOND // 20)
+        after = _energy(plant, body)
+        assert after <= before
+        before = after
+    assert after == 0.0
+
+
+@claiming(Claim.STICKING, Claim.PACE, laws=STATIC)
+def test_what_static_friction_alone_holds_does_not_creep_in_half_an_hour(solver: Solver, law: str) -> None:
+    """Fourteen of 25 equal loads slip and pull by 14 * 0.3; eleven stand, and hold 11 * 0.45 but drag by 11 * 0.3."""
+    body = parcel(size_m=(0.5, 0.5), position_m=(0.0, 0.0), angle_rad=0.0)
+    plant = solver.plant(body, law=STATIC_LAWS[law], rows=5, columns=5)
+    drives = np.zeros((25, 2))
+    x, y = plant.array.positions_m.T
+    pulling = (np.abs(y) < 0.15) & ~((np.abs(x) < 0.05) & (np.abs(y) < 0.05))
+    assert int(pulling.sum()) == 14
+    drives[pulling, 0] = 0.5
+    before = plant.state
+    for minute in range(1, 31):
+        plant.advance(drives, 60 * minute * SECOND)
+    assert np.array_equal(plant.state, before)
+
+
+@claiming(Claim.SYMMETRY, laws=STATIC)
+def test_a_quarter_turn_of_wheels_that_hold_turns_the_motion(solver: Solver, law: str) -> None:
+    ends = []
+    for turn in (0.0, 0.5 * np.pi):
+        c, s = round(np.cos(turn)), round(np.sin(turn))
+        quarter = np.array([[c, s], [-s, c]])
+        body = parcel(position_m=tuple((np.array([0.12, 0.07]) @ quarter).tolist()), angle_rad=0.4 + turn)
+        plant = solver.plant(body, law=STATIC_LAWS[law])
+        plant.advance(elliptic(plant) if turn == 0.0 else elliptic(plant, -2.0, -1.0), 50 * MILLI)
+        state = plant.state[0]
+        ends.append([*(quarter @ state[:2]), state[2] - turn, *(quarter @ state[3:5]), state[5]])
+    assert ends[1] == pytest.approx(ends[0], abs=solver.within(1e-9))
+
+
+# --- uneven_friction ----------------------------------------------------------------------------------------------
+
+UNEQUAL = {"uneven_friction": {"cell_spread": 0.5, "wheel_spread": 0.3}}
+BY_WHEEL = ["viscous", "coulomb", "stick_slip"]
+
+
+@claiming(Claim.REST, laws=BY_WHEEL, effect="uneven_friction")
+def test_a_parcel_at_rest_on_unequal_wheels_stays_at_rest(solver: Solver, law: str) -> None:
+    plant = solver.plant(parcel(angle_rad=0.37), law=LAWS[law], effects=UNEQUAL)
+    before = plant.state
+    for tick in range(1, 50):
+        _, events = plant.advance(np.zeros((400, 2)), tick * TICK_NS)
+        assert events == []
+    assert np.array_equal(plant.state, before)
+
+
+@claiming(Claim.ENERGY, laws=BY_WHEEL, effect="uneven_friction")
+def test_unequal_wheels_that_stand_give_no_energy(solver: Solver, law: str) -> None:
+    body = parcel(velocity_m_s=(0.3, 0.1), angular_velocity_rad_s=5.0)
+    plant = solver.plant(body, law=LAWS[law], effects=UNEQUAL, solver={"step_s": 0.05})
+    before = _energy(plant, body)
+    for tick in range(1, 11):
+        plant.advance(np.zeros((400, 2)), tick * SECOND // 20)
+        after = _energy(plant, body)
+        assert after <= before
+        before = after
+
+
+@claiming(Claim.MOTION, Claim.STICKING, effect="uneven_friction")
+def test_a_parcel_brakes_along_each_axis_by_the_friction_of_that_axis_and_stops(solver: Solver) -> None:
+    cells = [{"cell": (r, c), "factors": (0.5, 2.0)} for r in range(9) for c in range(9)]
+    body = _over_all(velocity_m_s=(0.1, 0.4))
+    effects = {"uneven_friction": {"cells": cells}}
+    plant = solver.plant(body, law=LAWS["coulomb"], rows=9, columns=9, effects=effects)
+    plant.advance(_uniform(plant, 0.0), 50 * MILLI)
+    known = np.array([0.1, 0.4]) - MU * G * 0.05 * np.array([0.5, 2.0])
+    assert plant.state[0, 3:5] == pytest.approx(known, abs=solver.within(1e-12))
+    plant.advance(_uniform(plant, 0.0), SECOND)
+    assert plant.state[0, 3:].tolist() == [0.0, 0.0, 0.0]

@@ -53,7 +53,8 @@ def corner_pulls(
     stiffness = traction.stiffness_per_load * weight + traction.stiffness * cells
     bounds = np.zeros((len(mass), to.PULL_SIZE))
     bounds[:, to.PER_SLIP] = 1e300 if traction.set_valued else stiffness * yielding
-    bounds[:, to.LIMIT] = (traction.limit_per_load * weight + traction.limit * cells) * yielding
+    limit = traction.limit_per_load * weight + traction.limit * cells
+    bounds[:, to.LIMIT] = traction.static_ratio * limit * yielding
     bounds[:, to.PUSH] = traction.push_per_load * weight * yielding
     bounds[:, to.UNLIMITED] = (traction.viscous * cells + drag * weight) * yielding
     bounds[:, to.RADIUS] = radius

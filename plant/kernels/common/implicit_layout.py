@@ -33,10 +33,12 @@ STEPS_PER_SECOND: Final = 7  # allowed; infinite where steps are fixed
 PACE_SIZE: Final = 8
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
-AX, AY, SX, SY, B, C, GX, GY, LX, LY, K = range(11)
-"""Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c``; multipliers L. Forces
-without a limit are ``G - K v``: the law's push and viscous part, and other resistance to the underside's motion."""
-WHEEL_SIZE: Final = 11
+AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED = range(14)
+"""Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b`` and ``c`` along each axis, equal
+where both axes share one limit; multipliers L. Forces without a limit are ``G - K v``: the law's push and viscous part,
+and other resistance to the underside's motion. ``SUMMED`` is the size of the terms that the free speeds are sums of:
+they may cancel, their rounding does not."""
+WHEEL_SIZE: Final = 14
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

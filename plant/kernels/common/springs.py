@@ -25,6 +25,10 @@ def edges_under(surface, i):
     """The wheels' edges as they are under parcel ``i``."""
 
 
+def stiction_under(surface, i):
+    """How the wheels hold parcel ``i``."""
+
+
 def rate(surface, cell):
     """Rate of a cell's spring over the mean one's."""
 
@@ -82,6 +86,8 @@ def surface_under(surface, i):
         edges,
         rollers,
         surface.drag,
+        stiction_under(surface, i),
+        surface.factors,
     )
 
 
@@ -98,6 +104,11 @@ def _no_springs(_surface, _i):
 
 @implements(edges_under, "edges", own=False)
 def _no_edges(_surface, _i):
+    return None
+
+
+@implements(stiction_under, "stiction", own=False)
+def _no_stiction(_surface, _i):
     return None
 
 

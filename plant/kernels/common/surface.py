@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 class Springs(NamedTuple):
@@ -102,6 +103,52 @@ class AllRollers(NamedTuple):
     passed: Floats
 
 
+class Stiction(NamedTuple):
+    """How each wheel holds one parcel, where static friction exceeds the kinetic one.
+
+    See ``plant.kernels.effects.stiction``.
+
+    Attributes:
+        ratio: of the static to the kinetic limit.
+        grips: ``(capacity, 3)`` cell, and how each of its wheels slips.
+        counts: ``(2,)`` rows of ``grips`` and of ``begun``.
+        begun: ``(capacity, 3)`` scratch: ``grips`` where a step begins.
+        found: ``(capacity, 3)`` scratch: that at the end of the part just solved.
+        limits: ``(capacity, 2)`` scratch: kinetic limits of the wheels listed.
+        caught: ``(capacity, 2)`` scratch: wheels that changed within the part.
+    """
+
+    ratio: float
+    grips: Integers
+    counts: Integers
+    begun: Integers
+    found: Integers
+    limits: Floats
+    caught: Integers
+
+
+class AllStiction(NamedTuple):
+    """How each wheel holds each of m parcels.
+
+    Attributes:
+        ratio: as ``Stiction.ratio``.
+        grips: ``(m, capacity, 3)``.
+        counts: ``(m, 2)``.
+        begun: ``(m, capacity, 3)``.
+        found: ``(m, capacity, 3)``.
+        limits: ``(m, capacity, 2)``.
+        caught: ``(m, capacity, 2)``.
+    """
+
+    ratio: float
+    grips: Integers
+    counts: Integers
+    begun: Integers
+    found: Integers
+    limits: Floats
+    caught: Integers
+
+
 class Surface(NamedTuple):
     """The cells and their wheels, as the kernels read them.
 
@@ -118,3 +165,6 @@ class Surface(NamedTuple):
     rollers: Rollers | AllRollers | None = None
     drag: float | None = None
     """Of the rollers under the whole weight, 1/s (see ``plant.kernels.effects.roller_drag``)."""
+    stiction: Stiction | AllStiction | None = None
+    factors: Floats | None = None
+    """``(n, 2)`` traction of each wheel over the law's (see ``plant.kernels.effects.uneven_friction``)."""

@@ -100,7 +100,7 @@ def _recoil(work, cell, axis, impulse):
 
 
 @implements(lighten, "slowing", own=True)
-def _lighten(work, parcel, row, cell, share, h):
+def _lighten(work, parcel, row, cell, push_x, push_y, h):
     slowing, wheel, rate = work.slowing, work.wheels[row], parcel.par[at.RATE]
     k = slowing.place[cell]
     if k < 0:
@@ -110,11 +110,12 @@ def _lighten(work, parcel, row, cell, share, h):
     wheel[im.SX] += left * slowing.now[k, 0]
     wheel[im.SY] += left * slowing.now[k, 1]
     softer = 1.0 + rho * wheel[im.K]
-    wheel[im.B] = 1.0 / (softer * (softer / wheel[im.B] + rho))
-    wheel[im.C] /= softer
+    wheel[im.BX] = 1.0 / (softer * (softer / wheel[im.BX] + rho))
+    wheel[im.BY] = 1.0 / (softer * (softer / wheel[im.BY] + rho))
+    wheel[im.CX] /= softer
+    wheel[im.CY] /= softer
     wheel[im.K] /= softer
-    push = work.law[im.PUSH_PER_SHARE] * share
-    wheel[im.GX], wheel[im.GY] = within(wheel[im.SX] / rho, push), within(wheel[im.SY] / rho, push)
+    wheel[im.GX], wheel[im.GY] = within(wheel[im.SX] / rho, push_x), within(wheel[im.SY] / rho, push_y)
 
 
 @implements(slow, "slowing", own=True)

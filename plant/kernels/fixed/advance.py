@@ -22,14 +22,13 @@ NOW = 0.0
 @kernel
 def sliding(row, w, isotropic):
     """Force of one cell's wheels under a set-valued law taken for a function: none at no slip, all of it else."""
-    c = row[im.C]
     rx, ry = row[im.SX] - w[0] - row[im.AX] * w[2], row[im.SY] - w[1] - row[im.AY] * w[2]
     if isotropic == 0.0:
-        return c * sign(rx), c * sign(ry)
+        return row[im.CX] * sign(rx), row[im.CY] * sign(ry)
     size = (rx * rx + ry * ry) ** 0.5
     if size == 0.0:
         return 0.0, 0.0
-    return c * rx / size, c * ry / size
+    return row[im.CX] * rx / size, row[im.CX] * ry / size
 
 
 @kernel

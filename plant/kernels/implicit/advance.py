@@ -18,8 +18,9 @@ from plant.kernels.common.loads import settle
 from plant.kernels.common.springs import reach, smooth, touches
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.implicit.hooks import extrapolate, keep, slow, tabulate, take_back
-from plant.kernels.implicit.step import EPSILON, grasp, new_velocity, regime
+from plant.kernels.implicit.step import EPSILON, grasp, regime
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember, same
+from plant.kernels.implicit.stiction_hooks import commit_grips, find_velocity, keep_grips, restore_grips
 
 PARTS = 4
 """Into how many parts a controlled step is cut at most."""
@@ -80,7 +81,7 @@ def euler(surface, parcel, work, until, h):
     y, arm, start, w = parcel.y, work.pace[im.GYRATION], work.start, work.velocity
     count = grasp(surface, parcel, work, work.law, decay(parcel.par, until), h)
     start[0], start[1], start[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
-    solved = new_velocity(work, count, work.law, h, w)
+    solved = find_velocity(surface, parcel, work, count, h, w)
     # untouched where nothing pulls: scaling to and fro could cost its last digit
     turning = y[at.OMEGA] if w[2] == start[2] else w[2] / arm
     y[at.UX], y[at.UY], y[at.OMEGA] = w[0], w[1], turning
@@ -119,12 +120,14 @@ def cut(surface, parcel, work, now, h, parts):
     for k in range(6):
         y[k] = work.begin[k]
     take_back(work)
+    restore_grips(surface)
     for j in range(parts):
         status = find_loads(surface, parcel, work)
         if status != at.MOVING:
             return status
         solved, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
         slow(work, parcel, pulling, part)
+        commit_grips(surface, pulling)
         if j == 0:
             work.first[3] = wheels
             for k in range(3):
@@ -237,6 +240,7 @@ def step(surface, parcel, work, now, left, events):
     for k in range(6):
         work.begin[k] = parcel.y[k]
     keep(work)
+    keep_grips(surface, parcel, work, decay(parcel.par, now))
     before = remember(parcel, work)
     if pace[im.FIXED] > 0.0:
         # equal steps up to where a state is asked for, none longer than said

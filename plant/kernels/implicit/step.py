@@ -15,8 +15,8 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.motion import solve
 from plant.kernels.common.springs import gap, plane_at, stiffness
-from plant.kernels.implicit.hooks import lighten, unloaded
-from plant.kernels.implicit.traction_hooks import drag
+from plant.kernels.implicit.hooks import lighten, summed, unloaded
+from plant.kernels.implicit.traction_hooks import drag, factor
 
 
 @kernel
@@ -30,15 +30,22 @@ def clamped(q, b, c):
 
 
 @kernel
+def unclamped(row, w):
+    """Force of one cell's wheels as it would be without a limit, multipliers included."""
+    qx = row[im.LX] + row[im.BX] * (row[im.SX] - w[0] - row[im.AX] * w[2])
+    qy = row[im.LY] + row[im.BY] * (row[im.SY] - w[1] - row[im.AY] * w[2])
+    return qx, qy
+
+
+@kernel
 def pull(row, w, isotropic):
     """The limited force of one cell's wheels, and its derivative by slip: (fx, fy, kxx, kxy, kyy)."""
-    b, c = row[im.B], row[im.C]
-    qx = row[im.LX] + b * (row[im.SX] - w[0] - row[im.AX] * w[2])
-    qy = row[im.LY] + b * (row[im.SY] - w[1] - row[im.AY] * w[2])
+    qx, qy = unclamped(row, w)
     if isotropic == 0.0:
-        fx, kx = clamped(qx, b, c)
-        fy, ky = clamped(qy, b, c)
+        fx, kx = clamped(qx, row[im.BX], row[im.CX])
+        fy, ky = clamped(qy, row[im.BY], row[im.CY])
         return fx, fy, kx, 0.0, ky
+    b, c = row[im.BX], row[im.CX]
     size = (qx * qx + qy * qy) ** 0.5
     if size <= c:
         return qx, qy, b, 0.0, b
@@ -100,13 +107,19 @@ def grasp(surface, parcel, work, law, e, h):
         row = wheels[count]
         row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
         row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
-        row[im.B] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * share
-        row[im.C] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * share
-        push = law[im.PUSH_PER_SHARE] * share
-        row[im.GX], row[im.GY] = push * sign(vx), push * sign(vy)
+        row[im.SUMMED] = law[im.FREE_SPEED] * summed(surface, cell, e)
+        along_x, along_y = factor(surface, cell)
+        along_x *= share
+        along_y *= share
+        row[im.BX] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_x
+        row[im.BY] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_y
+        row[im.CX] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_x
+        row[im.CY] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_y
+        push_x, push_y = law[im.PUSH_PER_SHARE] * along_x, law[im.PUSH_PER_SHARE] * along_y
+        row[im.GX], row[im.GY] = push_x * sign(vx), push_y * sign(vy)
         row[im.LX] = row[im.LY] = 0.0
         row[im.K] = law[im.VISCOUS]
-        lighten(work, parcel, count, cell, share, h)
+        lighten(work, parcel, count, cell, push_x, push_y, h)
         if law[im.VISCOUS] != 0.0:
             row[im.GX] += row[im.K] * row[im.SX]
             row[im.GY] += row[im.K] * row[im.SY]
@@ -224,7 +237,7 @@ def follow(work, count, isotropic, w, scale):
         row = wheels[i]
         fx, fy, kxx, _, kyy = pull(row, w, isotropic)
         change += abs(fx - row[im.LX]) + abs(fy - row[im.LY])
-        speeds = abs(row[im.SX]) + abs(row[im.SY]) + scale
+        speeds = row[im.SUMMED] + scale
         rounding += EPSILON * (abs(fx) + abs(fy) + (kxx + kyy) * speeds)
         row[im.LX], row[im.LY] = fx, fy
     return change, rounding
@@ -246,9 +259,9 @@ def stick(work, count, isotropic, w):
         row = wheels[i]
         scale = max(scale, abs(row[im.SX]), abs(row[im.SY]))
         if isotropic == 0.0:
-            holds_x, holds_y = abs(row[im.LX]) < row[im.C], abs(row[im.LY]) < row[im.C]
+            holds_x, holds_y = abs(row[im.LX]) < row[im.CX], abs(row[im.LY]) < row[im.CY]
         else:
-            holds_x = holds_y = (row[im.LX] * row[im.LX] + row[im.LY] * row[im.LY]) ** 0.5 < row[im.C]
+            holds_x = holds_y = (row[im.LX] * row[im.LX] + row[im.LY] * row[im.LY]) ** 0.5 < row[im.CX]
         if holds_x:
             agree_x, sx, stuck_x = agree_x and (not stuck_x or row[im.SX] == sx), row[im.SX], True
         if holds_y:
@@ -277,7 +290,7 @@ def new_velocity(work, count, law, h, w):
         inertia += h * work.wheels[i, im.K]
     for _ in range(MULTIPLIER_STEPS):
         for i in range(count):
-            work.wheels[i, im.B] = weight * inertia / (h * count)
+            work.wheels[i, im.BX] = work.wheels[i, im.BY] = weight * inertia / (h * count)
         scale = minimise(work, count, isotropic, h, w)
         if not scale >= 0.0:
             return False
@@ -297,9 +310,9 @@ def regime(work, count, isotropic, w):
         row = work.wheels[i]
         fx, fy, _, _, _ = pull(row, w, isotropic)
         if isotropic == 0.0:
-            x = sign(fx) if abs(fx) >= row[im.C] else 0.0
-            y = sign(fy) if abs(fy) >= row[im.C] else 0.0
-        elif (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.C]:
+            x = sign(fx) if abs(fx) >= row[im.CX] else 0.0
+            y = sign(fy) if abs(fy) >= row[im.CY] else 0.0
+        elif (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.CX]:
             # in quarters: slip that turns round must not look like slip that went on
             x, y = sign(fx), sign(fy)
         else:

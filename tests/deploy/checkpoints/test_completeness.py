@@ -27,6 +27,10 @@ CASES: dict[str, tuple[str, dict[str, object]]] = {
     "wheels with rollers": ("bumpy", {}),
     "wheels that feel what they pull": ("loaded", {}),
     "wide wheels": ("wide_wheels", {}),
+    "wheels that hold": (
+        "coulomb",
+        {"friction": {"law": "coulomb", "coefficient": 0.3, "static_coefficient": 0.45}},
+    ),
     "uneven supports": ("uneven", {}),
     "steps of one length": ("elliptic", {"solver": {"name": "fixed_step", "step_s": 1e-3}}),
     "somebody else's integrator": ("elliptic", {"solver": {"name": "scipy"}}),
@@ -95,7 +99,8 @@ def scene_of(case: str) -> Scene:
 
 
 COMPILED = (
-    "clocks and converters", "wheels with rollers", "wheels that feel what they pull", "wide wheels", "uneven supports"
+    "clocks and converters", "wheels with rollers", "wheels that feel what they pull", "wide wheels", "uneven supports",
+    "wheels that hold",
 )  # fmt: skip
 """Cases that compile a kernel each."""
 

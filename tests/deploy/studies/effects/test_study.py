@@ -22,6 +22,7 @@ from deploy.studies.effects.study import EffectStudy
 SHOWN = {
     "uneven_supports": ("uneven", 1.5),
     "contact_width": ("wide_wheels", 1.5),
+    "uneven_friction": ("worn", 1.5),
     "roller_drag": ("dragging", 1.5),
     "motors": ("motors", 0.5),
     "wheel_load": ("loaded", 0.4),
