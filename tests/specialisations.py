@@ -67,6 +67,7 @@ UNEVEN = {"uneven_supports": {"stiffness_n_per_m": 3e3, "height_spread_m": 1e-4}
 WIDE = {"contact_width": {"width_m": 0.03}}
 ROLLERS = {"roller_impacts": {"spacing_m": 4e-3, "impulse_s": 8e-5}}
 UNEQUAL = {"uneven_friction": {"wheel_spread": 0.2}}
+TALL = {"load_transfer": {"centre_of_mass_height_m": 0.05}}
 DRAGGED = {"roller_drag": {"drag_s_per_m": 0.02}}
 LOADED = {"motors": {}, "wheel_load": {"inertia_kg": 0.05}}
 
@@ -92,6 +93,8 @@ SPECIALISATIONS = (
     Specialisation("implicit_unequal", 14, "implicit", UNEQUAL, needed="slow"),
     Specialisation("quasi_static_unequal", 5, "quasi_static", UNEQUAL, needed="slow"),
     Specialisation("fixed_step_unequal", 4, "fixed_step", UNEQUAL, needed="slow"),
+    Specialisation("implicit_tall", 15, "implicit", TALL, needed="slow"),
+    Specialisation("fixed_step_tall", 4, "fixed_step", TALL, needed="slow"),
     Specialisation("implicit_dragged", 14, "implicit", DRAGGED, needed="slow"),
     Specialisation("implicit_loaded_dragged", 15, "implicit", LOADED | DRAGGED, needed="slow"),
     Specialisation("implicit_rollers", 14, "implicit", ROLLERS, needed="slow"),

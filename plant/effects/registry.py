@@ -9,6 +9,7 @@ from plant.effects.analogue_sensors.spec import AnalogueSensorsSpec
 from plant.effects.camera.spec import CameraSpec
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.feeders.spec import FeedersSpec
+from plant.effects.load_transfer import LoadTransferSpec
 from plant.effects.motors import MotorsSpec
 from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.effects.roller_drag import RollerDragSpec
@@ -29,6 +30,7 @@ class PlantEffects(Effects):
     roller_impacts: RollerImpactsSpec | None = None
     wheel_load: WheelLoadSpec | None = None
     roller_drag: RollerDragSpec | None = None
+    load_transfer: LoadTransferSpec | None = None
     feeders: FeedersSpec | None = None
     parcel_contact: ParcelContactSpec | None = None
     analogue_sensors: AnalogueSensorsSpec | None = None

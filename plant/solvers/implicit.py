@@ -28,6 +28,7 @@ from plant.solvers.springs import (
     make_rollers,
     make_springs,
     make_stiction,
+    make_transfer,
 )
 from plant.solvers.wheel_load import WheelLoadSum, WheelLoadWorkspace, load_wheels, make_slowing
 from plant.specs import PlantSpec
@@ -147,6 +148,8 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
             "_stiction.caught",
             "_springs.moments",
             "_edges.share",
+            "_transfer.shift",
+            "_transfer.memory",
         )
     )
 
@@ -163,6 +166,7 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
         self._edges = make_edges(scene, self.capacity)
         self._rollers = make_rollers(scene, array)
         self._drag = make_drag(scene)
+        self._transfer = make_transfer(scene)
         self._factors = make_factors(scene, array)
         self._stiction = make_stiction(scene, self.capacity)
         self._loaded = scene.effects.wheel_load is not None
@@ -201,6 +205,7 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
             drag=self._drag,
             stiction=self._stiction,
             factors=self._factors,
+            transfer=self._transfer,
         )
         laws, paces = self._laws, self._paces
         done = self._entry.advance_block(

@@ -11,7 +11,7 @@ from plant.array import CellArray
 from plant.effects.roller_impacts import starts
 from plant.effects.uneven_friction import friction_factors
 from plant.effects.uneven_supports import supports
-from plant.kernels.common.surface import AllEdges, AllRollers, AllSprings, AllStiction
+from plant.kernels.common.surface import AllEdges, AllRollers, AllSprings, AllStiction, AllTransfer
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
@@ -83,6 +83,24 @@ def make_factors(scene: PlantSpec, array: CellArray) -> Floats | None:
         return None
     import_module("plant.kernels.effects.uneven_friction")
     return friction_factors(uneven, array.lattice, scene.seed)
+
+
+def make_transfer(scene: PlantSpec) -> AllTransfer | None:
+    """Shift of each parcel's loads; None where traction acts at the height of the centres of mass.
+
+    Kernels compiled after this call include load transfer, if the scene has it.
+    """
+    transfer = scene.effects.load_transfer
+    if transfer is None:
+        return None
+    import_module("plant.kernels.effects.load_transfer")
+    own = [parcel.centre_of_mass_height_m for parcel in scene.parcels]
+    heights = [transfer.centre_of_mass_height_m if height is None else height for height in own]
+    return AllTransfer(
+        lever_s2=np.array(heights) / scene.gravity_m_s2,
+        shift=np.zeros((len(heights), 2)),
+        memory=np.zeros((len(heights), 3)),
+    )
 
 
 def make_stiction(scene: PlantSpec, capacity: int) -> AllStiction | None:

@@ -14,6 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 EFFECTS = (
+    "load_transfer",
     "loaded_wheels",
     "roller_drag",
     "roller_impacts",

@@ -225,3 +225,46 @@ def test_a_parcel_brakes_along_each_axis_by_the_friction_of_that_axis_and_stops(
     assert plant.state[0, 3:5] == pytest.approx(known, abs=solver.within(1e-12))
     plant.advance(_uniform(plant, 0.0), SECOND)
     assert plant.state[0, 3:].tolist() == [0.0, 0.0, 0.0]
+
+
+# --- load_transfer ------------------------------------------------------------------------------------------------
+
+TALL = {"load_transfer": {"centre_of_mass_height_m": 0.05}}
+
+
+@claiming(Claim.REST, laws=EVERY_LAW, effect="load_transfer")
+def test_a_tall_parcel_at_rest_stays_at_rest(solver: Solver, law: str) -> None:
+    plant = solver.plant(parcel(angle_rad=0.37), law=LAWS[law], effects=TALL)
+    before = plant.state
+    for tick in range(1, 50):
+        _, events = plant.advance(np.zeros((400, 2)), tick * TICK_NS)
+        assert events == []
+    assert np.array_equal(plant.state, before)
+
+
+@claiming(Claim.ENERGY, laws=EVERY_LAW, effect="load_transfer")
+def test_stopped_wheels_take_energy_from_a_tall_parcel_and_give_none(solver: Solver, law: str) -> None:
+    body = parcel(velocity_m_s=(0.3, 0.1), angular_velocity_rad_s=2.0)
+    plant = solver.plant(body, law=LAWS[law], effects=TALL, solver={"step_s": 0.01})
+    before = _energy(plant, body)
+    for tick in range(1, 11):
+        plant.advance(np.zeros((400, 2)), tick * SECOND // 50)
+        after = _energy(plant, body)
+        assert after <= before
+        before = after
+
+
+@claiming(Claim.LOADS, effect="load_transfer")
+def test_traction_tips_a_tall_parcel_before_its_centre_of_mass_has_left_its_supports(solver: Solver) -> None:
+    """``X + mu H`` leaves them first: viscous wheels that stand brake by ``mu U`` at the speed U."""
+    hole = [(r, c) for r in range(9) for c in range(6, 9)]
+    body = parcel(size_m=(0.5, 0.5), position_m=(0.0, 0.0), angle_rad=0.0, velocity_m_s=(1.2, 0.0))
+    effects = {"load_transfer": {"centre_of_mass_height_m": 0.2}}
+    plant = solver.plant(body, rows=9, columns=9, missing=hole, effects=effects, solver={})
+    plant.advance(_uniform(plant, 0.0), SECOND)
+    assert plant.status[0].state in ("tipped", "off_array")
+    # U = U0 - mu g X, so X + mu H U = 0.1 at
+    place = (0.1 - 0.2 * 0.2 * 1.2) / (1.0 - 0.2 * 0.2 * 0.2 * G)
+    # steps of one length look once a step
+    bound = solver.within(1e-6) if solver.claims(Claim.MOTION) else 1.2 * 1e-2
+    assert plant.state[0, 0] == pytest.approx(place, abs=bound)

@@ -47,6 +47,8 @@ LISTED, WRITTEN = range(2)
 
 # ── further statuses
 NOT_SOLVED: Final = 7
+UNBALANCED: Final = 8
+"""Loads and traction don't agree yet: solve again. Never a parcel's status."""
 
 UNITY: Final = 1.0
 ONE_PART: Final = 1

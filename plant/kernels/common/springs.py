@@ -29,6 +29,18 @@ def stiction_under(surface, i):
     """How the wheels hold parcel ``i``."""
 
 
+def transfer_under(surface, i):
+    """The shift of parcel ``i``'s loads."""
+
+
+def shift(surface):
+    """The load's centre from the centre of mass (x, y), m."""
+
+
+def unshift(surface):
+    """Take the load's centre for the centre of mass. Returns whether it was another."""
+
+
 def rate(surface, cell):
     """Rate of a cell's spring over the mean one's."""
 
@@ -88,6 +100,7 @@ def surface_under(surface, i):
         surface.drag,
         stiction_under(surface, i),
         surface.factors,
+        transfer_under(surface, i),
     )
 
 
@@ -110,6 +123,21 @@ def _no_edges(_surface, _i):
 @implements(stiction_under, "stiction", own=False)
 def _no_stiction(_surface, _i):
     return None
+
+
+@implements(transfer_under, "transfer", own=False)
+def _no_transfer(_surface, _i):
+    return None
+
+
+@implements(shift, "transfer", own=False)
+def _none(_surface):
+    return 0.0, 0.0
+
+
+@implements(unshift, "transfer", own=False)
+def _never_another(_surface):
+    return False
 
 
 @implements(rate, "springs", own=False)

@@ -149,6 +149,34 @@ class AllStiction(NamedTuple):
     caught: Integers
 
 
+class Transfer(NamedTuple):
+    """Shift of one parcel's loads by traction below its centre of mass (see ``plant.kernels.effects.load_transfer``).
+
+    Attributes:
+        lever_s2: height of the centre of mass over the gravitational acceleration.
+        shift: ``(2,)`` from the centre of mass to the load's centre, m.
+        memory: ``(3,)`` scratch: passes of the balance so far, what it was off by, share of a correction.
+    """
+
+    lever_s2: float
+    shift: Floats
+    memory: Floats
+
+
+class AllTransfer(NamedTuple):
+    """Shift of all m parcels' loads.
+
+    Attributes:
+        lever_s2: ``(m,)``.
+        shift: ``(m, 2)``.
+        memory: ``(m, 3)``.
+    """
+
+    lever_s2: Floats
+    shift: Floats
+    memory: Floats
+
+
 class Surface(NamedTuple):
     """The cells and their wheels, as the kernels read them.
 
@@ -168,3 +196,4 @@ class Surface(NamedTuple):
     stiction: Stiction | AllStiction | None = None
     factors: Floats | None = None
     """``(n, 2)`` traction of each wheel over the law's (see ``plant.kernels.effects.uneven_friction``)."""
+    transfer: Transfer | AllTransfer | None = None

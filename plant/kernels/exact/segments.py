@@ -169,6 +169,7 @@ def local_surface(surface, hand):
         surface.drag,
         surface.stiction,
         surface.factors,
+        surface.transfer,
     )
 
 

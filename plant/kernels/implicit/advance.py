@@ -15,8 +15,9 @@ from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import box, fill, inside, may_go_on, sampled_until
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.loads import settle
-from plant.kernels.common.springs import reach, smooth, touches
+from plant.kernels.common.springs import reach, smooth, touches, unshift
 from plant.kernels.common.step_end import allowed, strike
+from plant.kernels.implicit.balance_hooks import balance, begin_balance
 from plant.kernels.implicit.hooks import extrapolate, keep, slow, tabulate, take_back
 from plant.kernels.implicit.step import EPSILON, grasp, regime
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember, same
@@ -63,7 +64,11 @@ def find_loads(surface, parcel, work):
                     if touches(surface, parcel, count, c, s):
                         count += 1
     parcel.ctl[at.N_MEMBERS] = count
-    return settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    if status == at.TIPPED and unshift(surface):
+        # the traction that shifted the loads may be gone
+        status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    return status
 
 
 @kernel
@@ -76,19 +81,29 @@ def decay(par, time):
 def euler(surface, parcel, work, until, h):
     """One implicit step of ``h`` that ends at ``until``, with the loads found last.
 
-    Returns (whether it could be solved, the wheels' ``regime``, how many pull).
+    Returns (status, the wheels' ``regime``, how many pull).
     """
     y, arm, start, w = parcel.y, work.pace[im.GYRATION], work.start, work.velocity
-    count = grasp(surface, parcel, work, work.law, decay(parcel.par, until), h)
     start[0], start[1], start[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
-    solved = find_velocity(surface, parcel, work, count, h, w)
+    begin_balance(surface)
+    while True:
+        count = grasp(surface, parcel, work, work.law, decay(parcel.par, until), h)
+        if not find_velocity(surface, parcel, work, count, h, w):
+            status = im.NOT_SOLVED
+            break
+        noise = 8.0 * EPSILON * (abs(w[0]) + abs(w[1]) + abs(start[0]) + abs(start[1])) / h
+        status = balance(surface, parcel, work, (w[0] - start[0]) / h, (w[1] - start[1]) / h, noise)
+        if status != im.UNBALANCED:
+            break
+    if status == at.TIPPED:
+        return status, 0.0, count
     # untouched where nothing pulls: scaling to and fro could cost its last digit
     turning = y[at.OMEGA] if w[2] == start[2] else w[2] / arm
     y[at.UX], y[at.UY], y[at.OMEGA] = w[0], w[1], turning
     y[0] += h * w[0]
     y[1] += h * w[1]
     y[at.THETA] += h * turning
-    return solved, regime(work, count, work.law[im.ISOTROPIC], w), count
+    return status, regime(work, count, work.law[im.ISOTROPIC], w), count
 
 
 @kernel
@@ -125,7 +140,7 @@ def cut(surface, parcel, work, now, h, parts):
         status = find_loads(surface, parcel, work)
         if status != at.MOVING:
             return status
-        solved, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
+        status, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
         slow(work, parcel, pulling, part)
         commit_grips(surface, pulling)
         if j == 0:
@@ -134,8 +149,8 @@ def cut(surface, parcel, work, now, h, parts):
                 work.first[k] = y[at.UX + k] - work.begin[at.UX + k]
         if not finite(y):
             return at.NOT_FINITE
-        if not solved and part > TRIFLE:
-            return im.NOT_SOLVED
+        if status == at.TIPPED or (status == im.NOT_SOLVED and part > TRIFLE):
+            return status
     return at.MOVING
 
 

@@ -14,7 +14,7 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.motion import solve
-from plant.kernels.common.springs import gap, plane_at, stiffness
+from plant.kernels.common.springs import gap, plane_at, shift, stiffness
 from plant.kernels.implicit.hooks import lighten, summed, unloaded
 from plant.kernels.implicit.traction_hooks import drag, factor
 
@@ -92,7 +92,8 @@ def grasp(surface, parcel, work, law, e, h):
     """
     mem, y, seg, wheels = parcel.mem, parcel.y, work.seg, work.wheels
     ahead_x, ahead_y = h * y[at.UX], h * y[at.UY]
-    mx, my = ahead_x - seg[at.CX], ahead_y - seg[at.CY]
+    sx, sy = shift(surface)
+    mx, my = ahead_x + sx - seg[at.CX], ahead_y + sy - seg[at.CY]
     a0, bx, by = plane_at(surface, seg, mx, my)
     arm = work.pace[im.GYRATION]
     count = at.ZERO

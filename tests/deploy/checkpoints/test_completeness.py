@@ -32,6 +32,7 @@ CASES: dict[str, tuple[str, dict[str, object]]] = {
         {"friction": {"law": "coulomb", "coefficient": 0.3, "static_coefficient": 0.45}},
     ),
     "uneven supports": ("uneven", {}),
+    "tall parcels": ("tall", {}),
     "steps of one length": ("elliptic", {"solver": {"name": "fixed_step", "step_s": 1e-3}}),
     "somebody else's integrator": ("elliptic", {"solver": {"name": "scipy"}}),
     "cells that die": ("heat", {"faults": [{"at_s": 0.05, "cell": [2, 2]}, {"at_s": 0.12, "cell": [1, 1]}]}),
@@ -101,6 +102,7 @@ def scene_of(case: str) -> Scene:
 COMPILED = (
     "clocks and converters", "wheels with rollers", "wheels that feel what they pull", "wide wheels", "uneven supports",
     "wheels that hold",
+    "tall parcels",
 )  # fmt: skip
 """Cases that compile a kernel each."""
 

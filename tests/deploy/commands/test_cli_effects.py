@@ -14,6 +14,7 @@ import pytest
 from deploy.cli import main
 from deploy.studies.effects.ablation import effect_types
 from plant.effects.contact_width import ContactWidthSpec
+from plant.effects.load_transfer import LoadTransferSpec
 from plant.effects.roller_drag import RollerDragSpec
 from plant.effects.uneven_friction import UnevenFrictionSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
@@ -103,6 +104,7 @@ def test_the_ladder_is_printed_and_drawn(
     monkeypatch.setattr(ContactWidthSpec, "fidelity_rank", None)
     monkeypatch.setattr(UnevenSupportsSpec, "fidelity_rank", None)
     monkeypatch.setattr(RollerDragSpec, "fidelity_rank", None)
+    monkeypatch.setattr(LoadTransferSpec, "fidelity_rank", None)
     monkeypatch.setattr(UnevenFrictionSpec, "fidelity_rank", None)
     folder = tmp_path / "made"
     arguments = ("ladder", "--duration", "0.05", "--repeats", "1", "--quiet", "--output", str(folder))
