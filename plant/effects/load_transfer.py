@@ -20,7 +20,7 @@ class LoadTransferSpec(EffectSpec):
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit", "fixed_step")
     excludes: ClassVar[tuple[str, ...]] = ("parcel_contact", "roller_impacts")
     states: ClassVar[tuple[str, ...]] = ("shift of every parcel's loads",)
-    fidelity_rank: ClassVar[int | None] = 27
+    fidelity_rank: ClassVar[int | None] = 51
     centre_of_mass_height_m: NotNegative
     """Height of the centre of mass above the underside of parcels that don't give their own."""
 
