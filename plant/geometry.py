@@ -149,6 +149,24 @@ def placed(footprint: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray
     return footprint @ np.array([[c, s], [-s, c]]) + pose[:2]
 
 
+def corner_displacement_m(states: Floats, others: Floats, footprint: Floats) -> Floats:
+    """Largest displacement of a parcel's corners between two poses, at each instant, ``(T,)`` m.
+
+    Args:
+        states: ``(T, 3)`` or wider: x, y, theta, ...; NaN gives NaN.
+        others: Poses at the same instants, likewise.
+        footprint: ``(v, 2)`` corners about the centre of mass, in the parcel's axes, m.
+    """
+    apart = states[:, :2] - others[:, :2]
+    # the difference of two rotations, without cancellation: 2 sin(half the angle) across the mean direction
+    chord = 2.0 * np.sin(0.5 * (states[:, 2] - others[:, 2]))
+    mean = 0.5 * (states[:, 2] + others[:, 2])
+    c, s = np.cos(mean)[:, None], np.sin(mean)[:, None]
+    x = apart[:, :1] + chord[:, None] * (-s * footprint[:, 0] - c * footprint[:, 1])
+    y = apart[:, 1:] + chord[:, None] * (c * footprint[:, 0] - s * footprint[:, 1])
+    return np.hypot(x, y).max(axis=1)
+
+
 def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]] | None:
     """Depth in m and place ``(2,)`` in m of the overlap of two convex polygons, or None.
 

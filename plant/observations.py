@@ -51,8 +51,9 @@ class Event(NamedTuple):
         time_s: when.
         kind: ``support_gained``, ``support_lost``, ``load_vanished``, ``load_returned``, ``captured``, ``released``,
             ``outrun`` (a parcel outruns a wheel though its law says that none does), ``tipped``, ``off_array``,
-            ``overlap``, ``contact``, ``apart``, ``fed``, ``held_back`` (a parcel is due where there is no room) or
-            ``left``.
+            ``overlap``, ``contact``, ``apart``, ``contact_residual`` (contact problems were not solved in full),
+            ``parted`` (overlapping parcels were moved apart), ``fed``, ``held_back`` (a parcel is due where there is no
+            room) or ``left``.
         parcel: index of the parcel.
         cells: ``(row, column)`` of the cells concerned.
         position_m: where.

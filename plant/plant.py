@@ -1,12 +1,12 @@
 """The plant: parcels on wheels, as a pure object with drives as input and sensor readings as output.
 
-The plant has no clock and no bus.
+The plant has no clock of its own and no bus.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
@@ -39,6 +39,7 @@ class Plant:
 
     Args:
         spec: what the scene says of the physics.
+        clock: time in s, for ``solver_s``; None: nothing is timed.
 
     Attributes:
         array: the cells.
@@ -64,7 +65,7 @@ class Plant:
         records=(Event, ParcelStatus, Sense),
     )
 
-    def __init__(self, spec: PlantSpec) -> None:
+    def __init__(self, spec: PlantSpec, *, clock: Callable[[], float] | None = None) -> None:
         self.array: CellArray = CellArray(spec.array)
         n = len(self.array)
         self._motors = spec.effects.motors
@@ -85,7 +86,7 @@ class Plant:
         self._traffic = make_traffic(spec, self._solver, self.status, self._overlaps)
         there = np.arange(len(bodies)) if self._traffic is None else self._traffic.on_surface
         check_places(spec, self.state, self._overlaps, self._traffic)
-        self._moves = Propagator(spec, self.array, self._solver, self._chronicle, there)
+        self._moves = Propagator(spec, self.array, self._solver, self._chronicle, there, clock)
         self._contact = self._moves.contact
         if self._contact is not None:
             self._contact.check_start(there)
@@ -119,6 +120,11 @@ class Plant:
     def effort(self) -> int:
         """Work done by the solver: steps, or right-hand sides with ``scipy``."""
         return self._solver.effort
+
+    @property
+    def solver_s(self) -> float:
+        """Time spent in calls of the solver so far, s, without sampling and bookkeeping; 0 without a clock."""
+        return self._moves.solver_s
 
     @property
     def support_changes(self) -> int:

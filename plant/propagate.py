@@ -70,6 +70,11 @@ def segment_ends_s(run: WheelRun, reads_s: Floats, near: NDArray[np.bool_], span
     return [*found[found < span_s].tolist(), span_s]
 
 
+def _stopped() -> float:
+    """The clock of a plant that isn't timed."""
+    return 0.0
+
+
 @final
 class Propagator:
     """Advances parcels on wheels through calls of the plant.
@@ -80,8 +85,10 @@ class Propagator:
         solver: solver that moves parcels.
         chronicle: log that converts results to events.
         there: indices of parcels on the surface, ascending.
+        clock: time in s, for ``solver_s``; None: nothing is timed.
 
     Attributes:
+        solver_s: time spent in calls of the solver by ``clock``, s, those of touching parcels included.
         on_surface: parcels that have been fed and have not left through an exit.
         moving: parcels of ``on_surface`` that neither tipped nor left the array.
         driven: 1 for a driven cell, 0 for a cell whose wheels turn freely, ``(n,)``.
@@ -99,7 +106,10 @@ class Propagator:
         solver: Solver,
         chronicle: EventLog,
         there: NDArray[np.int64],
+        clock: Callable[[], float] | None = None,
     ) -> None:
+        self._clock = clock or _stopped
+        self.solver_s = 0.0
         self.on_surface = there
         self.moving = there
         self.driven: Floats = np.ones(len(array))
@@ -197,9 +207,11 @@ class Propagator:
         if len(self.moving) < len(self.on_surface):
             # tipped ones stay where they are
             solver.presence(np.setdiff1d(self.on_surface, self.moving), seen)
+        begun = self._clock()
         results = solver.advance_segmented(
             self.moving, SegmentedCall(run, self.driven, span_s, reads_s, margin_m, seen)
         )
+        self.solver_s += self._clock() - begun
         if reading is not None:
             reading.set_presence(seen)
         return self._to_events(results, start_s)
@@ -238,12 +250,13 @@ class Propagator:
 
     def _advance_segment(self, leg: Segment, start_s: float) -> list[Event]:
         """Move all parcels by a leg that begins at ``start_s``."""
-        live = self.moving
+        live, begun = self.moving, self._clock()
         if self.contact is None:
             results, events = self._solver.advance(live, leg), []
         else:
             results = self.contact.advance(live, self._chronicle.tipped(self.on_surface), leg, start_s)
             events = self.contact.events()
+        self.solver_s += self._clock() - begun
         events += self._to_events(results, start_s)
         if len(leg.times_s):
             for done in results:

@@ -53,6 +53,8 @@ class ExactSpec(Spec):
     """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb_sliding", "rolling", "stick_slip")
     """Traction laws that the solver supports; None: all."""
+    library: ClassVar[str] = ""
+    """Function of a library that an adapter calls between events; empty: kernels of the plant."""
     name: Literal["exact"] = "exact"
     tolerance: Tolerance = 1e-9
     """Error of the footprint over the run, metres."""
@@ -76,9 +78,13 @@ class ImplicitSpec(Spec):
     """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = None
     """Traction laws that the solver supports; None: all."""
+    library: ClassVar[str] = ""
+    """Function of a library that an adapter calls between events; empty: kernels of the plant."""
     name: Literal["implicit"]
     tolerance: Tolerance = 1e-6
-    """Error of the footprint, metres per second of motion or jump of the force; not used with ``step_s``."""
+    """Error of the footprint, metres per second of motion; not used with ``step_s``."""
+    capture_m: Annotated[float, Field(gt=0, le=1e-2, allow_inf_nan=False)] = 1e-6
+    """Amplitude below which chatter is captured; not used with ``step_s``."""
     step_s: Annotated[float, Field(gt=0, le=1.0, allow_inf_nan=False)] | None = None
     """Constant step; default: steps controlled by the tolerance."""
     max_steps_per_s: StepsPerSecond = 1_000_000.0
@@ -105,6 +111,8 @@ class QuasiStaticSpec(Spec):
     """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb", "rolling", "stick_slip")
     """Traction laws that the solver supports; None: all."""
+    library: ClassVar[str] = ""
+    """Function of a library that an adapter calls between events; empty: kernels of the plant."""
     name: Literal["quasi_static"]
     tolerance: Annotated[float, Field(ge=1e-11, le=1e-2, allow_inf_nan=False)] = 1e-6
     """Error of the footprint, metres per second of motion; not used with ``step_s``."""
@@ -130,6 +138,8 @@ class FixedStepSpec(Spec):
     """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = None
     """Traction laws that the solver supports; None: all."""
+    library: ClassVar[str] = ""
+    """Function of a library that an adapter calls between events; empty: kernels of the plant."""
     name: Literal["fixed_step"]
     method: Literal["euler", "rk4"] = "rk4"
     """Euler's method, or the classic Runge-Kutta method of four stages."""
@@ -153,6 +163,8 @@ class SciPySpec(Spec):
     """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "coulomb_sliding", "rolling", "stick_slip")
     """Traction laws that the solver supports; None: all."""
+    library: ClassVar[str] = "scipy.integrate.solve_ivp"
+    """Function of a library that an adapter calls between events; empty: kernels of the plant."""
     name: Literal["scipy"]
     method: Literal["RK45", "DOP853", "Radau", "LSODA"] = "DOP853"
     """Method of ``solve_ivp``."""
@@ -175,6 +187,8 @@ class HeyokaSpec(Spec):
     """Settings of the solver in a study of accuracy."""
     laws: ClassVar[tuple[str, ...] | None] = ("viscous", "rolling")
     """Traction laws that the solver supports; None: all."""
+    library: ClassVar[str] = "heyoka.taylor_adaptive"
+    """Function of a library that an adapter calls between events; empty: kernels of the plant."""
     name: Literal["heyoka"]
     tolerance: Annotated[float, Field(ge=1e-16, le=1e-2, allow_inf_nan=False)] = 1e-12
     """Relative error of a step; absolute in SI units for values below 1."""

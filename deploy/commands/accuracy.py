@@ -45,7 +45,8 @@ TargetOption = Annotated[
     typer.Option(
         "--target",
         metavar="METRES",
-        help="Print in one line the cheapest solver and setting whose error is at most METRES. Exit status 1: none.",
+        help="Print in one line the cheapest solver and setting whose error is at most METRES; of settings whose times "
+        "can't be told apart, the loosest. Exit status 1: none.",
     ),
 ]
 QuickOption = Annotated[
@@ -57,7 +58,7 @@ RepeatsOption = Annotated[
         "--repeats",
         metavar="N",
         min=1,
-        help="Timed runs of every setting. Default: 5, with --quick 3; fewer where runs take long.",
+        help="Rounds of timed runs, in which settings take turns. Default: 5, with --quick 3; fewer for long runs.",
     ),
 ]
 SamplingOption = Annotated[
@@ -84,7 +85,8 @@ def accuracy(
 
     Each solver is compared with a reference of another method (heyoka if the extra accuracy is installed). A third
     method and, where it exists, a closed form check the reference. The scene is simulated as by mdms simulate: ideal
-    wheels at the field's speed. --output DIR also writes tables and plots.
+    wheels at the field's speed. The first lines name the cheapest setting for several errors, with the noise of the
+    times. --output DIR also writes tables and plots.
 
     A quick study; a full study; the cheapest solver for a target:
 
@@ -139,7 +141,7 @@ def _print(report: AccuracyReport, target: float | None, folder: Path | None, *,
     from deploy.studies.accuracy.console import answer, print_report
 
     if as_json:
-        print(report.to_json())
+        print(report.to_json(target))
     elif target is not None:
         print(answer(report, target))
     else:

@@ -25,6 +25,14 @@ def fault_kinds(incomplete: str) -> list[tuple[str, str]]:
     return [(name, gist(name)) for name in KINDS if name.startswith(incomplete)]
 
 
+def effect_names(incomplete: str) -> list[tuple[str, str]]:
+    """Return lists of effects whose last name begins so, each with a line on the last."""
+    from deploy.studies.effects.ablation import effect_types, summary
+
+    before, comma, last = incomplete.rpartition(",")
+    return [(f"{before}{comma}{name}", summary(name)) for name in effect_types() if name.startswith(last)]
+
+
 def scene_keys(context: typer.Context, incomplete: str) -> list[str]:
     """Return ``KEY=`` of every key of the named scene that begins so; of tables only the next part."""
     from deploy.errors import DeployError

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deploy.commands.completion import effect_names
 from deploy.commands.options import (
     DurationOption,
     JsonOption,
@@ -27,6 +28,15 @@ if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
     from deploy.studies.effects.ladder import RungResult
 
+OnlyOption = Annotated[
+    str | None,
+    typer.Option(
+        "--only",
+        metavar="NAME,...",
+        help="Only these effects, separated by commas.",
+        autocompletion=effect_names,
+    ),
+]
 OutputOption = Annotated[
     Path | None,
     typer.Option(
@@ -50,21 +60,23 @@ def effects(
     duration: DurationOption = None,
     solver: SolverOption = None,
     tolerance: ToleranceOption = None,
+    only: OnlyOption = None,
     repeats: Annotated[
         int,
-        typer.Option("--repeats", min=1, help="Timed runs with and without each effect; the median counts."),
+        typer.Option("--repeats", min=1, help="Rounds of timed runs; their range is the noise of the cost."),
     ] = 3,
     advise: Annotated[
         bool,
         typer.Option(
-            "--advise", help="List the effects that can be left out, and the effects that are missing."
+            "--advise",
+            help="List the effects that can be left out, the time that this saves, and the effects that are missing.",
         ),
     ] = False,
     tolerance_mm: Annotated[
         float,
         typer.Option(
             "--tolerance-mm",
-            help="With --advise: largest final displacement of a corner that counts as no influence.",
+            help="With --advise: largest displacement of a corner, at any time, that counts as no influence.",
         ),
     ] = 1.0,
     ladder: Annotated[
@@ -80,20 +92,30 @@ def effects(
     """Show each effect's additions to a scene, its cost, and its influence on the result.
 
     Effects are toggled separately. An effect of the scene is left out; an effect that the scene lacks is added with
-    typical settings. Both simulations run in this process under one solver. The solver's own error, measured against
-    a tolerance ten times as fine, shows how much of an influence is significant.
+    typical settings. Both simulations run in this process under one solver, and are compared at every tick. The
+    solver's own error, measured against a tolerance ten times as fine, shows how much of an influence is significant.
+    The range of several rounds shows how much of a cost is.
 
-    All effects; influence on a scene; advice on effects to leave out or add; cost against fidelity:
+    All effects; influence on a scene; two effects; advice on effects to leave out or add; cost against fidelity:
 
       [cyan]mdms effects[/cyan]
       [cyan]mdms effects prototype[/cyan]
+      [cyan]mdms effects prototype --only encoder,pwm[/cyan]
       [cyan]mdms effects prototype --advise --tolerance-mm 1[/cyan]
       [cyan]mdms effects ladder --ladder --output study[/cyan]
     """
     from deploy.util.signals import Interruption
 
+    if only is not None and (ladder or output is not None):
+        raise InputError(f"--only {only}: not with the ladder, where each rung adds to those below it")
+    if advise and (ladder or output is not None):
+        raise InputError("--advise: not with the ladder; leave out --ladder and --output")
+    names = None if only is None else _names(only)
     if scene is None:
-        _list(as_json=as_json)
+        given = {"--advise": advise, "--ladder": ladder, "--output": output is not None}
+        for option in (option for option, value in given.items() if value):
+            raise InputError(f"{option}: which SCENE? (`mdms scenes` lists the bundled ones)")
+        _list(names, as_json=as_json)
         return
     if not 0.0 < tolerance_mm < float("inf"):
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must be greater than 0")
@@ -109,29 +131,52 @@ def effects(
             with locked_folder(output, notify) as folder:
                 _ladder(found, repeats, folder, notify, as_json=as_json)
         else:
-            _study(found, repeats, tolerance_mm if advise else None, notify, as_json=as_json)
+            _study(found, names, repeats, tolerance_mm if advise else None, notify, as_json=as_json)
 
 
-def _list(*, as_json: bool) -> None:
+def _names(text: str) -> list[str]:
+    """Effects of ``--only``.
+
+    Raises:
+        InputError: One is unknown, or there is none.
+    """
+    from deploy.scenes.errors import nearest
+    from deploy.studies.effects.ablation import effect_types
+
+    names = [name for part in text.split(",") if (name := part.strip())]
+    if not names:
+        raise InputError("--only: must be names of effects, separated by commas (`mdms effects` lists them)")
+    for name in names:
+        if name not in effect_types():
+            raise InputError(f"--only {text}: unknown effect {name}; {nearest(name, effect_types())}")
+    return names
+
+
+def _list(names: list[str] | None, *, as_json: bool) -> None:
+    from deploy.studies.effects.report import declared, print_declared
+
+    rows = [row for row in declared() if names is None or row["name"] in names]
     if as_json:
-        from deploy.studies.effects.report import declared
-
-        _print_json({"rows": declared()})
-        return
-    from deploy.studies.effects.report import print_declared
-
-    print_declared()
+        _print_json({"rows": rows})
+    else:
+        print_declared(rows)
 
 
 def _study(
-    scene: Scene, repeats: int, tolerance_mm: float | None, notify: Callable[[str], None], *, as_json: bool
+    scene: Scene,
+    names: list[str] | None,
+    repeats: int,
+    tolerance_mm: float | None,
+    notify: Callable[[str], None],
+    *,
+    as_json: bool,
 ) -> None:
     from deploy.studies.effects.advice import advise
     from deploy.studies.effects.report import advice_json, row_json
     from deploy.studies.effects.study import EffectStudy
 
     study = EffectStudy(scene, repeats, notify)
-    rows = study.rows()
+    rows = study.rows(names)
     advice = None if tolerance_mm is None else advise(study, rows, 1e-3 * tolerance_mm)
     if as_json:
         found: dict[str, Any] = {
@@ -143,9 +188,9 @@ def _study(
         return
     from deploy.studies.effects.report import print_advice, print_rows
 
-    print_rows(scene, rows)
+    print_rows(scene, rows, repeats)
     if advice is not None:
-        print_advice(advice)
+        print_advice(advice, rows)
 
 
 def _ladder(

@@ -12,15 +12,13 @@ from bus.errors import BusError
 from cell_firmware.effects.registry import CellEffects
 from deploy.errors import DeployError
 from deploy.runs.backends import BusCells
-from deploy.runs.field_simulation import field_speeds
 from deploy.runs.output import run_name
-from deploy.runs.result import RunResult, status_of
+from deploy.runs.result import RunResult
 from deploy.runs.setup import load_plant
 from deploy.runs.simulation import Simulation
 from deploy.util.formatting import say
 from deploy.workers.plan import RunOptions, plan
 from deploy.workers.system import System
-from plant.errors import PlantError
 from plant.tick import TickHooks, TickRecord
 
 if TYPE_CHECKING:
@@ -39,49 +37,24 @@ def needs_cells(scene: Scene) -> bool:
     )
 
 
-def run_headless(scene: Scene, *, cells: bool, digest: Digest | None = None) -> RunResult:
-    """Run a scene to its end; the result has all its events and losses.
+def run_headless(scene: Scene, *, digest: Digest | None = None) -> RunResult:
+    """Run a scene with its cells to its end; the result has all its events and losses.
 
-    Without cells the bits of the motion are those that it has with them, where `needs_cells` is false; only the
-    messages are spared.
+    The cells run in a thread of this process, over the memory transport.
 
     Args:
         scene: The scene.
-        cells: Whether its cells run too, in a thread of this process, over the memory transport.
-        digest: Continued tick by tick, of a run with cells.
+        digest: Continued tick by tick.
 
     Raises:
         InputError: The plant refuses the scene.
     """
     # What a firmware prints in this process is no part of what the command prints.
     with contextlib.redirect_stdout(sys.stderr):
-        return _with_cells(scene, digest) if cells else _plant_alone(scene)
+        return _run(scene, digest)
 
 
-def _plant_alone(scene: Scene) -> RunResult:
-    from plant.array import CellArray
-
-    speeds = field_speeds(scene, CellArray(scene.array).positions_m)
-    plant = load_plant(scene, say)
-    events: list[Event] = []
-    period_ns, end_ns = scene.tick_ns, scene.duration_ns
-    failure: PlantError | None = None
-    started = time.perf_counter()
-    try:
-        for tick in range(scene.ticks):
-            _, happened = plant.advance(speeds, min((tick + 1) * period_ns, end_ns))
-            events += happened
-    except PlantError as error:
-        failure = error
-    wall_s = time.perf_counter() - started
-    result = RunResult.of(plant)
-    if failure is not None:
-        result.end(status_of(failure), str(failure))
-    result.events, result.wall_s = tuple(events), wall_s
-    return result
-
-
-def _with_cells(scene: Scene, digest: Digest | None) -> RunResult:
+def _run(scene: Scene, digest: Digest | None) -> RunResult:
     options = RunOptions(processes=0, transport="memory")
     events: list[Event] = []
 

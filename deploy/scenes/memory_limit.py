@@ -13,6 +13,8 @@ WORKER_BYTES: Final = 4_000_000
 """Of a worker process, apart from what it shares with the others."""
 SAMPLE_BYTES: Final = 150
 """Of a parcel at one instant, in a simulation that stores its whole trajectory: its state, and copies of it."""
+PATH_BYTES: Final = 48
+"""Of a parcel at one instant of a path."""
 
 _MEMINFO = Path("/proc/meminfo")
 _CGROUP = Path("/sys/fs/cgroup")
@@ -55,6 +57,16 @@ def too_many_samples(samples: int, parcels: int) -> str:
     lack = shortage(samples * (parcels * SAMPLE_BYTES + 16))
     return (
         f"a simulation keeps its whole trajectory, and {samples:,} samples need {lack}: duration_s must be shorter"
+        if lack
+        else ""
+    )
+
+
+def too_many_paths(runs: int, samples: int, parcels: int) -> str:
+    """The rule that comparing the paths of so many runs breaks on this machine; empty: none."""
+    lack = shortage(runs * samples * parcels * PATH_BYTES)
+    return (
+        f"the paths of {runs:,} runs need {lack}: compare fewer effects, or a shorter duration_s"
         if lack
         else ""
     )

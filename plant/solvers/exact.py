@@ -189,7 +189,7 @@ class Exact(SegmentedCompiledSolver[ExactWorkspace]):
         self._entry: Any = entry
         self._allowance: Floats = np.zeros((len(parcels), ALLOWANCE_SIZE))
         for given, parcel, allowance in zip(parcels, self.parcels, self._allowance, strict=True):
-            _set_law(parcel.par, traction, given.mass_kg, gravity_m_s2)
+            set_law(parcel.par, traction, given.mass_kg, gravity_m_s2)
             parcel.par[layout.TOLERANCE] = spec.tolerance
             parcel.par[layout.CAPTURE] = spec.capture_m
             allowance[[LEFT, PER_SECOND]] = EVENTS_PER_SECOND + EVENTS_PER_MEMBER * len(parcel.mem)
@@ -242,7 +242,7 @@ class Exact(SegmentedCompiledSolver[ExactWorkspace]):
         )
 
 
-def _set_law(par: Floats, traction: Traction, mass_kg: float, gravity_m_s2: float) -> None:
+def set_law(par: Floats, traction: Traction, mass_kg: float, gravity_m_s2: float) -> None:
     """The law per kilogram of one parcel, as the layout has it, and how long its errors in velocity last.
 
     Args:

@@ -7,6 +7,7 @@ sticks does so exactly. See ``plant/kernels/implicit``: ``step`` for the problem
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, final
 
@@ -21,6 +22,8 @@ from plant.kernels.common.parcels import Parcel
 from plant.solver_api import AdvanceResult, Segment
 from plant.solver_specs import ImplicitSpec, QuasiStaticSpec
 from plant.solvers.compiled import AdvanceArgs, ThreadedSolver, ThreadWorkspace
+from plant.solvers.exact import make_workspace as make_event_workspace
+from plant.solvers.exact import set_law
 from plant.solvers.springs import (
     make_drag,
     make_edges,
@@ -64,17 +67,42 @@ class ImplicitWorkspace(NamedTuple):
     table: Floats
     saved: NDArray[np.int64]
     where: NDArray[np.int8]
+    centroid: Floats
+    ended: Floats
+    segs: Floats
+    grp: Floats
+    ser: Floats
+    matrix: Floats
+    reply: Floats
+    fraction: Floats
+    change: Floats
+    adds: Floats
+    seconds: Floats
+    found: Floats
+    g: Floats
+    p: Floats
+    q: Floats
+    cells: NDArray[np.int64]
+    edges: NDArray[np.int64]
+    signs: NDArray[np.int64]
+    before: Floats
+    last: NDArray[np.int64]
+    earlier: Floats
+    after: Floats
+    state: Floats
     slowing: WheelLoadWorkspace | None = None
 
 
 def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
     """Scratch for an array of ``cells`` cells and parcels that cover at most ``capacity`` of them."""
+    of_events = make_event_workspace(cells, capacity)
     return ImplicitWorkspace(
+        **of_events._asdict(),
+        seg=of_events.segs[0],
+        centroid=np.zeros(2),
+        ended=np.zeros(3),
         law=np.zeros(implicit_layout.LAW_SIZE),
         pace=np.zeros(implicit_layout.PACE_SIZE),
-        seg=np.zeros(layout.SEG_SIZE),
-        scratch=np.zeros((3, 4)),
-        newton=np.zeros((8, 3)),
         wheels=np.zeros((capacity, implicit_layout.WHEEL_SIZE)),
         start=np.zeros(3),
         velocity=np.zeros(3),
@@ -89,8 +117,6 @@ def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
         begun=np.zeros(4),
         error=np.zeros(6),
         table=np.zeros((4, 6)),
-        saved=np.zeros((capacity, 2), dtype=np.int64),
-        where=np.zeros(cells, dtype=np.int8),
     )
 
 
@@ -123,6 +149,36 @@ def first_pace(parcel: Parcel, spec: ImplicitSpec) -> Floats:
     pace[implicit_layout.NEXT] = FIRST_STEP_S
     pace[[implicit_layout.STEPS_LEFT, implicit_layout.STEPS_PER_SECOND]] = steps_per_s(spec)
     return pace
+
+
+def locate(
+    law: Floats,
+    pace: Floats,
+    parcel: Parcel,
+    traction: Traction,
+    mass_kg: float,
+    scene: PlantSpec,
+    spec: ImplicitSpec,
+) -> None:
+    """Have one parcel's events located.
+
+    Those of its wheels as well, where their forces are linear on each branch of a law that all wheels share, and wheels
+    run as motors drive them.
+    """
+    effects = scene.effects
+    pace[implicit_layout.LOCATES] = 1.0
+    parcel.par[layout.TOLERANCE] = spec.tolerance
+    parcel.par[layout.CAPTURE] = spec.capture_m
+    parcel.par[layout.LIMIT] = math.inf
+    if traction.set_valued or effects.wheel_load is not None:
+        return
+    set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
+    # what the kernels of ``exact`` don't know of: where wheels change branch, and the motion along a surface
+    known = effects.uneven_friction is None and effects.roller_drag is None and traction.viscous == 0.0
+    if not known:
+        parcel.par[layout.LIMIT] = math.inf
+    law[implicit_layout.LOCATED] = float(parcel.par[layout.LIMIT] < math.inf)
+    law[implicit_layout.CAPTURES] = float(known and effects.uneven_supports is None)
 
 
 @final
@@ -177,6 +233,9 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
             self._laws[i] = coefficients(traction, mass_kg, scene.gravity_m_s2)
             load_wheels(scene, self._laws[i], mass_kg)
             self._paces[i] = first_pace(parcel, spec)
+            # loads that traction shifts change all along a step, not where the parcel moves alone
+            if spec.step_s is None and self._edges is None and self._transfer is None:
+                locate(self._laws[i], self._paces[i], parcel, traction, mass_kg, scene, spec)
 
     def _make_workspace(self) -> ImplicitWorkspace:
         cells = len(self._array)

@@ -126,10 +126,10 @@ SOLVERS = {
     "implicit": Solver(
         settings={"name": "implicit", "tolerance": 1e-6},
         error_m=1e-6,
+        located={"capture_m": 1e-12},
         declines={
             Claim.ORDER: STEPLESS,
-            Claim.EVENTS: LOOKS,
-            Claim.CHATTER: FOLLOWS,
+            Claim.EVENTS: "locates them to its tolerance, and not to the rounding that these cases ask for",
             Claim.ENERGY: "extrapolates from steps of several lengths, which only each by itself never adds any",
             Claim.SCALES: SECOND_S,
             Claim.FINALITY: THROWN,

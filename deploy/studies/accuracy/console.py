@@ -7,37 +7,93 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from deploy.studies.accuracy.report import TARGETS_M
 from deploy.util.formatting import plural
+from deploy.util.tables import Column, print_columns
 
 if TYPE_CHECKING:
-    from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow, Sampling
+    from collections.abc import Callable, Sequence
 
-_WIDTH = 148
-"""Columns that the table needs."""
+    from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow, Choice, Sampling
+
 _KEY = (
     "error: largest displacement of any corner of a footprint. events: found −missed +invented; times: largest time "
-    "error of found events. wall: median. s/s: simulated seconds a second. steps: with scipy right-hand sides."
+    "error of found events. wall: median of a run as mdms simulate makes it, all settings in turns. ×: over the "
+    "fastest row's. calls: processor time in calls of the solver, without sampling and bookkeeping. s/s: "
+    "simulated seconds a second. steps: with scipy right-hand sides."
 )
+_MOST_TIES = 3
+"""Settings that are listed as tied; more are counted."""
 
 
 def print_report(report: AccuracyReport) -> None:
-    """Print the reference, every row, what was left out and why, and the price of sampling."""
-    console = Console(highlight=False)
-    if console.width < _WIDTH:
-        console = Console(highlight=False, width=_WIDTH)
-    for line in heading(report):
-        console.print(line, markup=False, soft_wrap=True)
+    """Print the verdict, the reference, every row, what was left out and why, and the price of sampling."""
+    console = Console(highlight=False, soft_wrap=True)
+    for line in (*verdict(report), "", *heading(report)):
+        console.print(line, markup=False)
     console.print()
-    console.print(_table(report))
+    narrow = print_columns(_columns(report))
     for line in remarks(report):
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, markup=False)
+    if narrow:
+        console.print(f"left out, too wide for this terminal: {'; '.join(narrow)} (see --json)", markup=False)
     for sampling in report.sampling:
         console.print()
         head = "the whole system, cells and messages included, as the control period shrinks"
-        console.print(
-            f"{sampling.wheels}: {head}; errors from {sampling.against}", markup=False, soft_wrap=True
-        )
+        console.print(f"{sampling.wheels}: {head}; errors from {sampling.against}", markup=False)
         console.print(_sampling(sampling))
+
+
+def verdict(report: AccuracyReport) -> list[str]:
+    """Name the cheapest solver and setting for usual targets; targets with the same answer share a line."""
+    choices = report.verdict()
+    if not choices:
+        return [_unreached(report, TARGETS_M[0])]
+    shared: list[list[Choice]] = []
+    for choice in choices:
+        before = shared[-1][-1] if shared else None
+        if before is not None and before.row is choice.row and before.following is choice.following:
+            shared[-1].append(choice)
+        else:
+            shared.append([choice])
+    found = ["cheapest by error:"]
+    for group in shared:
+        targets = ", ".join(f"{choice.target_m:g}" for choice in group)
+        found.append(f"  {targets} m: {_chosen(group[-1])}")
+    missed = [f"{target_m:g} m" for target_m in TARGETS_M[len(choices) :]]
+    if missed:
+        found.append(f"  {', '.join(missed)}: no setting; the nearest is {_nearest(report)}")
+    return [*found, *(f"  {line}" for line in [_unconfirmed(report, TARGETS_M[len(choices) - 1])] if line)]
+
+
+def _unconfirmed(report: AccuracyReport, target_m: float) -> str:
+    """Warn of a target below the difference between reference and check; empty for a confirmed target."""
+    confirmed_m = report.reference.confirmed_m
+    if confirmed_m is not None and confirmed_m <= target_m:
+        return ""
+    limit = "by no other method" if confirmed_m is None else f"to {metres(confirmed_m)} m only"
+    return f"smaller errors rest on the reference alone, which is confirmed {limit}"
+
+
+def _chosen(choice: Choice) -> str:
+    """Format a choice: setting, time, error, ties and the next solver."""
+    row = choice.row
+    parts = [f"{row.solver} with {row.setting}, {seconds(row.wall_s)}, {metres(row.error_max)} m off"]
+    if own := [one.wall_s for one in choice.ties if one.line == row.line and one.wall_s is not None]:
+        spans = f"{seconds(min(own))} to {seconds(max(own))}" if len(own) > 1 else seconds(own[0])
+        parts.append(f"{plural(len(own), 'finer setting')} can't be told apart in time ({spans})")
+    if others := [one for one in choice.ties if one.line != row.line]:
+        parts.append(f"A tie with {_listed(others)}")
+    if (following := choice.following) is not None and row.wall_s:
+        ratio = (following.wall_s or 0.0) / row.wall_s
+        parts.append(f"Next is {following.solver} with {following.setting} at {_two(ratio)} times")
+    return ". ".join(parts)
+
+
+def _listed(rows: Sequence[AccuracyRow]) -> str:
+    named = [f"{row.solver} {row.setting} ({seconds(row.wall_s)})" for row in rows[:_MOST_TIES]]
+    more = len(rows) - _MOST_TIES
+    return ", ".join(named) + (f" and {more} more" if more > 0 else "")
 
 
 def heading(report: AccuracyReport) -> list[str]:
@@ -85,37 +141,45 @@ def events(row: AccuracyRow) -> str:
     return f"{row.events_found}{missed}{invented}"
 
 
-def _table(report: AccuracyReport) -> Table:
-    table = Table(box=None, pad_edge=False)
-    table.add_column("solver", style="cyan", no_wrap=True)
-    table.add_column("", no_wrap=True)
+def adapter_words(library: str) -> str:
+    """``adapter to scipy.integrate.solve_ivp, ...``."""
+    return f"adapter to {library}, restarted at every event, with calls that include the adapter in Python"
+
+
+def _columns(report: AccuracyReport) -> list[Column]:
+    rows = [row for row in report.rows if row.status != "omitted"]
+
+    def figures(
+        of: Callable[[AccuracyRow], str], missing: Callable[[AccuracyRow], str] = lambda _: ""
+    ) -> list[str]:
+        return [missing(row) if row.error_max is None else of(row) for row in rows]
+
+    found = [
+        Column("solver", [row.solver for row in rows], justify="left", style="cyan"),
+        Column("setting", [row.setting for row in rows], justify="left"),
+        Column("error, m", figures(lambda row: metres(row.error_max), lambda row: row.status)),
+        Column("before chatter", figures(lambda row: metres(row.error_before)), 3),
+        Column("at end, m", figures(lambda row: metres(row.error_end)), 5),
+        Column("events", figures(events), 2),
+        Column("times, s", figures(lambda row: metres(row.event_time_error)), 5),
+        Column("wall, ms", figures(lambda row: _milliseconds(row.wall_s))),
+        Column(
+            "shortest–longest",
+            figures(lambda row: f"{_milliseconds(row.wall_low_s)}–{_milliseconds(row.wall_high_s)}"),
+            4,
+        ),
+        Column("×", figures(lambda row: "–" if row.relative is None else _two(row.relative)), 1),
+        Column("calls, ms", figures(lambda row: _milliseconds(row.solver_s)), 5),
+        Column("s/s", figures(lambda row: "–" if row.speed is None else _two(row.speed)), 6),
+        Column("steps", figures(lambda row: f"{row.effort:,}"), 6),
+    ]
     chatter = report.reference.chatter_s is not None
-    before = ("before chatter",) if chatter else ()
-    for name in ("error, m", *before, "at end, m", "events", "times, s", "wall, ms", "shortest–longest"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("s/s", justify="right", no_wrap=True)
-    table.add_column("steps", justify="right", no_wrap=True)
-    for row in report.rows:
-        if row.status == "omitted":
-            continue
-        if row.error_max is None:
-            table.add_row(row.solver, row.setting, row.status)
-            continue
-        spread = f"{_milliseconds(row.wall_low_s)}–{_milliseconds(row.wall_high_s)}"
-        table.add_row(
-            row.solver,
-            row.setting,
-            metres(row.error_max),
-            *([metres(row.error_before)] if chatter else []),
-            metres(row.error_end),
-            events(row),
-            metres(row.event_time_error),
-            _milliseconds(row.wall_s),
-            spread,
-            f"{row.speed:,.0f}" if row.speed is not None and row.speed >= 10.0 else f"{row.speed:.2g}",
-            f"{row.effort:,}",
-        )
-    return table
+    return [column for column in found if chatter or column.heading != "before chatter"]
+
+
+def _two(value: float) -> str:
+    """Two digits, or whole."""
+    return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
 def remarks(report: AccuracyReport) -> list[str]:
@@ -130,6 +194,7 @@ def remarks(report: AccuracyReport) -> list[str]:
         if row.judged_by not in (None, report.reference.solver)
     }
     found += [f"{name} is judged by {judge}, not by itself." for name, judge in judged.items()]
+    found += [f"{name}: {adapter_words(library)}." for name, library in report.adapters.items()]
     found += [
         f"{row.solver} {row.setting}: order of events differs from {row.order_until:.4g} s on "
         f"({metres(row.error_before)} m before, {metres(row.error_end)} m at the end"
@@ -170,16 +235,21 @@ def _sampling(sampling: Sampling) -> Table:
 
 def answer(report: AccuracyReport, target_m: float) -> str:
     """The cheapest solver and setting that reaches a target, in one line."""
-    row = report.cheapest(target_m)
-    if row is not None:
-        return (
-            f"{row.solver} with {row.setting} reaches {target_m:g} m in {seconds(row.wall_s)}: "
-            f"{metres(row.error_max)} m off over {report.duration_s:g} s of {report.scene}"
-        )
-    best = report.most_accurate()
-    if best is None:
+    choice = report.cheapest(target_m)
+    if choice is None:
+        return _unreached(report, target_m)
+    caution = _unconfirmed(report, target_m)
+    found = f"{target_m:g} m over {report.duration_s:g} s of {report.scene}: {_chosen(choice)}"
+    return f"{found}. {caution[0].upper()}{caution[1:]}" if caution else found
+
+
+def _unreached(report: AccuracyReport, target_m: float) -> str:
+    if report.most_accurate() is None:
         return f"no solver completed {report.scene}"
-    return (
-        f"no setting reaches {target_m:g} m on {report.scene}; the nearest is {best.solver} with {best.setting}: "
-        f"{metres(best.error_max)} m in {seconds(best.wall_s)}"
-    )
+    return f"no setting reaches {target_m:g} m on {report.scene}; the nearest is {_nearest(report)}"
+
+
+def _nearest(report: AccuracyReport) -> str:
+    best = report.most_accurate()
+    assert best is not None, "this is a bug: no row has an error"
+    return f"{best.solver} with {best.setting}: {metres(best.error_max)} m in {seconds(best.wall_s)}"

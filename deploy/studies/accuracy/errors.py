@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import NDArray
 
+from plant.geometry import corner_displacement_m
+
 if TYPE_CHECKING:
     from plant.observations import Event
 
@@ -42,14 +44,7 @@ def displacement_m(states: Floats, others: Floats, footprints_m: Sequence[Floats
     """
     largest: Floats = np.zeros(len(states))
     for i, corners in enumerate(footprints_m):
-        apart = states[:, i, :2] - others[:, i, :2]
-        # the difference of two rotations, without cancellation: 2 sin(half the angle) across the mean direction
-        chord = 2.0 * np.sin(0.5 * (states[:, i, 2] - others[:, i, 2]))
-        mean = 0.5 * (states[:, i, 2] + others[:, i, 2])
-        c, s = np.cos(mean)[:, None], np.sin(mean)[:, None]
-        x = apart[:, :1] + chord[:, None] * (-s * corners[:, 0] - c * corners[:, 1])
-        y = apart[:, 1:] + chord[:, None] * (c * corners[:, 0] - s * corners[:, 1])
-        largest = np.maximum(largest, np.hypot(x, y).max(axis=1))
+        largest = np.maximum(largest, corner_displacement_m(states[:, i], others[:, i], corners))
     return largest
 
 

@@ -20,10 +20,19 @@ if TYPE_CHECKING:
     from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow
 
 
-_WIDTH, _HEIGHT = 9.6, 6.0
+_WIDTH, _HEIGHT = 10.6, 6.0
 """Of a page, inches."""
 _MARKS = "os^Dv<>Ph*X"
 _STROKES = ("-", "--", "-.", ":")
+_SHADES = {
+    "exact": ("#0072b2",),
+    "implicit": ("#d55e00", "#e8a06a"),
+    "quasi_static": ("#009e73",),
+    "fixed_step": ("#cc79a7", "#93407a"),
+    "scipy": ("#8c6d00", "#e0b100", "#22272e", "#7d8894"),
+    "heyoka": ("#332288",),
+}
+"""Colours of each solver's lines."""
 _FLOOR_M = 1e-16
 """Errors below this, nought among them, are drawn here: rounding."""
 _GUIDE = "#8b95a1"
@@ -48,7 +57,7 @@ def _page(report: AccuracyReport, title: str, facts: Sequence[str]) -> tuple[Fig
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, _HEIGHT), dpi=DPI, facecolor="white")
-    axes = figure.add_axes((0.085, 0.1, 0.66, 0.74))
+    axes = figure.add_axes((0.075, 0.1, 0.62, 0.74))
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.grid(visible=True, which="major", color="#e4e8ec", lw=0.8)
@@ -66,16 +75,14 @@ def _errors(rows: Sequence[AccuracyRow]) -> list[float]:
     return [max(row.error_max or 0.0, _FLOOR_M) for row in rows]
 
 
-def _style(report: AccuracyReport, line: str) -> dict[str, Any]:
-    """Colour by solver, stroke and mark by line, the same in every picture."""
-    names = report.lines
-    solvers = list(dict.fromkeys(row.solver for row in report.rows))
+def line_style(report: AccuracyReport, line: str) -> dict[str, Any]:
+    """Colour, stroke and mark of a line, the same in every picture."""
     solver = next(row.solver for row in report.rows if row.line == line)
-    number = names.index(line)
     among = list(dict.fromkeys(row.line for row in report.rows if row.solver == solver)).index(line)
+    shades = _SHADES.get(solver, COLOURS)
     return {
-        "color": COLOURS[solvers.index(solver) % len(COLOURS)],
-        "marker": _MARKS[number % len(_MARKS)],
+        "color": shades[among % len(shades)],
+        "marker": _MARKS[report.lines.index(line) % len(_MARKS)],
         "ls": _STROKES[among % len(_STROKES)],
         "ms": 5.5,
         "lw": 2.2 if solver == "exact" else 1.3,
@@ -84,7 +91,30 @@ def _style(report: AccuracyReport, line: str) -> dict[str, Any]:
 
 
 def _legend(axes: Axes, report: AccuracyReport) -> None:
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, borderaxespad=0.0)
+    """List the curves, those of the plant's kernels first, then those of libraries by their adapters."""
+    from matplotlib.lines import Line2D
+
+    drawn = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    adapters = {
+        line: library
+        for line in report.lines
+        for solver, library in report.adapters.items()
+        if any(row.line == line and row.solver == solver for row in report.rows)
+    }
+    groups: dict[str, list[str]] = {}
+    for label in drawn:
+        library = adapters.get(label)
+        groups.setdefault(f"adapter to\n{library}" if library else "kernels of the plant", []).append(label)
+    handles: list[Any] = []
+    for head, labels in groups.items():
+        handles += [Line2D([], [], ls="", label=head), *(drawn[label] for label in labels)]
+    legend = axes.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.02), frameon=False, borderaxespad=0.0
+    )
+    for text in legend.get_texts():
+        if text.get_text() in groups:
+            text.set_color(_GUIDE)
+            text.set_position((-28.0, 0.0))
     _list(axes, [f"{row.line}: {row.status}" for row in report.rows if row.error_max is None])
 
 
@@ -96,13 +126,18 @@ def _work_precision(report: AccuracyReport) -> Figure:
         rows = _of(report, line)
         if not rows:
             continue
-        walls = [row.wall_s or 0.0 for row in rows]
-        low = [(row.wall_s or 0.0) - (row.wall_low_s or 0.0) for row in rows]
-        high = [(row.wall_high_s or 0.0) - (row.wall_s or 0.0) for row in rows]
+        shortest = [1e3 * (row.solver_low_s or 0.0) for row in rows]
+        more = [1e3 * (row.solver_s or 0.0) - low for row, low in zip(rows, shortest, strict=True)]
         axes.errorbar(
-            walls, _errors(rows), xerr=[low, high], label=line, elinewidth=0.7, **_style(report, line)
+            shortest,
+            _errors(rows),
+            xerr=[[0.0] * len(rows), more],
+            label=line,
+            elinewidth=0.7,
+            **line_style(report, line),
         )
-    axes.set_xlabel("wall time (s), median; bars: shortest to longest")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("processor time of a run in calls of the solver (ms): shortest; bars: to the median")
     axes.set_ylabel("largest displacement of a corner over the run (m)")
     _legend(axes, report)
     return figure
@@ -121,10 +156,10 @@ def _tolerance(report: AccuracyReport) -> Figure:
             continue
         tolerances = [row.value or 0.0 for row in rows]
         all_tolerances += tolerances
-        axes.plot(tolerances, _errors(rows), label=line, **_style(report, line))
+        axes.plot(tolerances, _errors(rows), label=line, **line_style(report, line))
     if all_tolerances:
         ends = [min(all_tolerances), max(all_tolerances)]
-        axes.plot(ends, ends, ls="--", color=_GUIDE, lw=1.2, zorder=2, label="error = tolerance")
+        axes.plot(ends, ends, ls="--", color=_GUIDE, lw=1.2, zorder=2)
     axes.invert_xaxis()
     axes.set_xlabel("tolerance asked (m; with scipy and heyoka of a step)")
     axes.set_ylabel("error got: largest displacement of a corner (m)")

@@ -78,6 +78,12 @@ class Reference:
     chatter_s: float | None
     notes: Sequence[str]
 
+    @property
+    def confirmed_m(self) -> float | None:
+        """Difference from the check that agrees best, m, over corners where one was compared; None without a check."""
+        corners = [one.apart_m for one in self.agreement if one.what == "corners"]
+        return min(corners or [one.apart_m for one in self.agreement], default=None)
+
     def judge(self, solver: str) -> tuple[str, AccuracyTrace]:
         """Return name and trace of the reference that a solver is compared with."""
         if solver == self.solver and self.second is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -21,15 +21,19 @@ from deploy.studies.accuracy.errors import (
     distribution_distance,
 )
 from deploy.studies.accuracy.reference import METHODS, Reference, ReferenceSolver
-from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow, Sampling
+from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow, Sampling, noise_s
 from deploy.studies.accuracy.sampling_cost import sampling_cost
 from deploy.studies.accuracy.sweep import Trial, lines, refusal, with_solver
-from deploy.studies.accuracy.trace import AccuracyTrace, run_trace, time_run
+from deploy.studies.accuracy.trace import AccuracyTrace, RunTime, run_trace, time_run
 from plant.errors import PlantError
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
 
+SHORT_S = 0.02
+"""A run this short is made ..."""
+SHORT_RUNS = 5
+"""... so many times in a round, and the shortest counts."""
 LONG_S = 0.2
 """A run this long needs no other before it to be warm: it counts."""
 QUICK_S = 20.0
@@ -45,6 +49,8 @@ QUICK_REFERENCE_S = 8.0
 """Processor time for the reference of a quick study."""
 FEWEST = 5
 """Samples of a distribution, at least."""
+_Place = tuple[int, int]
+"""Number of a line, and of a setting in it."""
 
 
 @final
@@ -105,6 +111,7 @@ class _Study:
         self._named, self._plan, self._say, self._poll = scene, plan, say, poll
         self._scene = without_cells(scene)
         self._over_s = np.inf
+        self._first: dict[tuple[str, float], RunTime] = {}
 
     def report(self) -> AccuracyReport:
         plan, scene = self._plan, self._scene
@@ -170,6 +177,9 @@ class _Study:
             for number, line in enumerate(swept):
                 if number not in refused and level < len(line):
                     done[number, level] = self._row(line[level], reference)
+        done |= self._timed(
+            {key: swept[key[0]][key[1]] for key, row in done.items() if row.status == "ok"}, done
+        )
         rows: list[AccuracyRow] = []
         for number, line in enumerate(swept):
             if number in refused:
@@ -194,7 +204,7 @@ class _Study:
         return None
 
     def _row(self, trial: Trial, reference: Reference) -> AccuracyRow:
-        """Run, evaluate and time a solver at a single setting."""
+        """Run and evaluate a solver at a single setting."""
         if time.process_time() > self._over_s:
             return _bare(trial, "omitted", "not begun, for lack of time: the study is quick")
         self._say(f"{trial.solver} {trial.setting}")
@@ -204,19 +214,62 @@ class _Study:
         row = replace(_bare(trial, trace.status, trace.reason), judged_by=judge, effort=trace.effort)
         if trace.status != "ok":
             return replace(row, **_before(trace, known, reference))
-        walls = [trace.wall_s] if trace.wall_s > LONG_S else []
-        while len(walls) < self._plan.repeats and sum(walls) < self._plan.timing_s:
-            walls.append(time_run(scene, self._poll))
-        median = statistics.median(walls)
-        return replace(
-            row,
-            **_judged(trace, known, reference),
-            wall_s=median,
-            wall_low_s=min(walls),
-            wall_high_s=max(walls),
-            repeats=len(walls),
-            speed=self._scene.duration_s / median,
-        )
+        self._first[trial.line, trial.value] = trace.time
+        return replace(row, **_judged(trace, known, reference))
+
+    def _timed(
+        self, trials: Mapping[_Place, Trial], rows: Mapping[_Place, AccuracyRow]
+    ) -> dict[_Place, AccuracyRow]:
+        """Time settings in turns, so that a slower machine is slower for all; return their rows with the times."""
+        plan, found = self._plan, dict[_Place, list[RunTime]]()
+        for key, trial in trials.items():
+            first = self._first[trial.line, trial.value]
+            found[key] = [first] if first.wall_s > LONG_S else []
+        for turn in range(plan.repeats):
+            self._say(f"times, round {turn + 1} of {plan.repeats} ...")
+            for key, trial in trials.items():
+                times = found[key]
+                late = time.process_time() > self._over_s and turn > 0
+                if len(times) <= turn and sum(one.wall_s for one in times) < plan.timing_s and not late:
+                    times.append(self._time(with_solver(self._scene, trial.settings)))
+        shortest = min((_median(times) for times in found.values()), default=0.0)
+        return {
+            key: replace(
+                rows[key],
+                **_times(times),
+                speed=self._scene.duration_s / _median(times),
+                relative=_median(times) / shortest,
+            )
+            for key, times in found.items()
+        }
+
+    def _time(self, scene: Scene) -> RunTime:
+        """Time a run; of a short one, which another program easily doubles, the shortest of several."""
+        found = [time_run(scene, self._poll)]
+        while found[0].wall_s < SHORT_S and len(found) < SHORT_RUNS:
+            found.append(time_run(scene, self._poll))
+        return min(found, key=lambda one: one.wall_s)
+
+
+def _median(times: Sequence[RunTime]) -> float:
+    return statistics.median(one.wall_s for one in times)
+
+
+def _times(times: Sequence[RunTime]) -> dict[str, Any]:
+    """Fields of a row on its times."""
+    walls, calls = [one.wall_s for one in times], [one.solver_s for one in times]
+    noise_low_s, noise_high_s = noise_s(walls)
+    return {
+        "wall_s": statistics.median(walls),
+        "wall_low_s": min(walls),
+        "wall_high_s": max(walls),
+        "noise_low_s": noise_low_s,
+        "noise_high_s": noise_high_s,
+        "solver_s": statistics.median(calls),
+        "solver_low_s": min(calls),
+        "solver_high_s": max(calls),
+        "repeats": len(walls),
+    }
 
 
 def _bare(trial: Trial, status: str, reason: str | None, *, whole: bool = False) -> AccuracyRow:
@@ -230,6 +283,7 @@ def _bare(trial: Trial, status: str, reason: str | None, *, whole: bool = False)
         status=status,
         reason=reason,
         note=trial.note or None,
+        library=trial.library or None,
     )
 
 

@@ -30,6 +30,7 @@ class Trial:
         settings: all of the solver's table.
         quick: whether it belongs to a quick study.
         note: what a reader of its error must know; empty: nothing.
+        library: function of a library that the solver's adapter calls; empty: kernels of the plant.
     """
 
     line: str
@@ -38,6 +39,7 @@ class Trial:
     settings: Settings
     quick: bool
     note: str
+    library: str
 
     @property
     def solver(self) -> str:
@@ -64,14 +66,20 @@ def lines(scene: Scene) -> Iterator[tuple[Trial, ...]]:
     for spec in get_args(AnySolver):
         (name,) = get_args(spec.model_fields["name"].annotation)
         for sweep in spec.sweeps:
-            yield tuple(_trials(scene, name, sweep))
+            yield tuple(_trials(scene, name, sweep, spec.library))
 
 
-def _trials(scene: Scene, name: str, sweep: Sweep) -> Iterator[Trial]:
+def _trials(scene: Scene, name: str, sweep: Sweep, library: str) -> Iterator[Trial]:
     for value in sweep.values:
         settings = _own(scene, name) | {"name": name, **dict(sweep.fixed), sweep.key: value}
         yield Trial(
-            f"{name} {sweep.title}".strip(), sweep.key, value, settings, value in sweep.quick, sweep.note
+            f"{name} {sweep.title}".strip(),
+            sweep.key,
+            value,
+            settings,
+            value in sweep.quick,
+            sweep.note,
+            library,
         )
 
 

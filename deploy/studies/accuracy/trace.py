@@ -17,7 +17,6 @@ from plant.errors import PlantError
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
     from plant.observations import Event
-    from plant.plant import Plant
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +30,20 @@ class _OutOfTimeError(Exception):
 
 @final
 @dataclass(frozen=True, slots=True)
+class RunTime:
+    """Time of a run, without building the plant.
+
+    Attributes:
+        wall_s: Wall time of the whole simulation, with its samples, events and bookkeeping, s.
+        solver_s: Processor time within calls of the solver, s. Other programs hardly change it.
+    """
+
+    wall_s: float
+    solver_s: float
+
+
+@final
+@dataclass(frozen=True, slots=True)
 class AccuracyTrace:
     """Trace of one run of a scene.
 
@@ -39,7 +52,7 @@ class AccuracyTrace:
         state: ``(T, m, 6)``.
         events: of the plant.
         footprints_m: ``(v, 2)`` corners of each parcel about its centre of mass, in its axes.
-        wall_s: what the plant took, without being built.
+        time: what the plant took, without being built.
         effort: of the solver: steps, or right-hand sides.
         status: ``ok``, ``unstable``, ``failed`` or ``stopped``: it took longer than it may.
         reason: why it is not ``ok``.
@@ -49,7 +62,7 @@ class AccuracyTrace:
     state: Floats
     events: Sequence[Event]
     footprints_m: Sequence[Floats]
-    wall_s: float
+    time: RunTime
     effort: int
     status: str
     reason: str | None
@@ -72,7 +85,7 @@ def run_trace(scene: Scene, limit_s: float = np.inf, poll: Callable[[], None] | 
     """
     from plant.plant import Plant
 
-    plant = Plant(scene.plant_spec())
+    plant = Plant(scene.plant_spec(), clock=time.process_time)
     speeds = field_speeds(scene, plant.array.positions_m)
     times: list[Floats] = [np.zeros(1)]
     states: list[Floats] = [plant.state[None]]
@@ -104,24 +117,20 @@ def run_trace(scene: Scene, limit_s: float = np.inf, poll: Callable[[], None] | 
         np.concatenate(states),
         events,
         plant.footprints_m,
-        wall_s,
+        RunTime(wall_s, plant.solver_s),
         plant.effort,
         status,
         reason,
     )
 
 
-def time_run(scene: Scene, poll: Callable[[], None] | None = None) -> float:
-    """Measure the wall time of another run, s: the same calls of the plant, without storing results."""
+def time_run(scene: Scene, poll: Callable[[], None] | None = None) -> RunTime:
+    """Time another run: the same calls of the plant, without storing results."""
     from plant.plant import Plant
 
-    plant = Plant(scene.plant_spec())
+    plant = Plant(scene.plant_spec(), clock=time.process_time)
     speeds = field_speeds(scene, plant.array.positions_m)
-    return _spent(scene, plant, speeds, poll or (lambda: None))
-
-
-def _spent(scene: Scene, plant: Plant, speeds: Floats, poll: Callable[[], None]) -> float:
     begun = time.perf_counter()
-    for _ in iterate_field_motion(scene, plant, speeds, check=poll, samples=SAMPLES):
+    for _ in iterate_field_motion(scene, plant, speeds, check=poll or (lambda: None), samples=SAMPLES):
         pass
-    return time.perf_counter() - begun
+    return RunTime(time.perf_counter() - begun, plant.solver_s)

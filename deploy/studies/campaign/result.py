@@ -79,7 +79,7 @@ def run_case(scene: Scene) -> CaseRecord:
 
     digest = Digest(scene.canonical())
     try:
-        result = run_headless(scene, cells=True, digest=digest)
+        result = run_headless(scene, digest=digest)
     except (DeployError, PlantError, FirmwareError) as error:
         return CaseRecord(status="failed", reason=str(error))
     if result.status != "ok":

@@ -8,10 +8,24 @@ from typing import TYPE_CHECKING, final
 
 from deploy.runs.headless import needs_cells
 from deploy.studies.effects.ablation import VariantRejected, dependents, tables, variant
-from deploy.studies.effects.sensitivity import Sensitivity, compare
 
 if TYPE_CHECKING:
-    from deploy.studies.effects.study import AblationRow, EffectStudy
+    from deploy.studies.effects.sensitivity import Sensitivity
+    from deploy.studies.effects.study import AblationRow, Cost, EffectStudy
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Together:
+    """Result of leaving out several effects at once.
+
+    Attributes:
+        influence: Difference from the scene.
+        cost: Wall time of the effects, with and without all of them.
+    """
+
+    influence: Sensitivity
+    cost: Cost
 
 
 @final
@@ -20,23 +34,23 @@ class Advice:
     """Recommended changes of a scene's effects.
 
     Attributes:
-        tolerance_m: Largest displacement of a corner at the end for two results to count as equal, m.
-        can_go: Effects of the scene whose individual influence is within the tolerance.
-        together: Influence of leaving out all of ``can_go`` at once; None if ``can_go`` is empty or no result was
-            found.
-        missing: Effects that the scene lacks and whose influence, with typical settings, is beyond the tolerance.
-        unclear: Effects whose influence is unknown because the solver's own error is beyond the tolerance.
+        tolerance_m: Largest displacement of a corner at any time of the run for two results to count as equal, m.
+        can_go: Rows of the scene's effects whose individual influence is within the tolerance.
+        together: Result of leaving out all of ``can_go`` at once; None if ``can_go`` is empty or no result was found.
+        missing: Rows of the effects that the scene lacks and whose influence, with typical settings, is beyond the
+            tolerance.
+        unclear: Names of effects whose influence is unknown because the solver's own error is beyond the tolerance.
     """
 
     tolerance_m: float
-    can_go: tuple[str, ...]
-    together: Sensitivity | None
-    missing: tuple[str, ...]
+    can_go: tuple[AblationRow, ...]
+    together: Together | None
+    missing: tuple[AblationRow, ...]
     unclear: tuple[str, ...]
 
 
 def advise(study: EffectStudy, rows: Sequence[AblationRow], tolerance_m: float) -> Advice:
-    """Sort a scene's effects by whether they change its answer.
+    """Sort a scene's effects by whether they change its answer at any time.
 
     Args:
         study: Of the scene.
@@ -44,15 +58,15 @@ def advise(study: EffectStudy, rows: Sequence[AblationRow], tolerance_m: float) 
         tolerance_m: Greater than 0.
     """
     measured = [row for row in rows if row.influence is not None]
-    unclear = {row.name for row in measured if _off(row.error) >= tolerance_m}
+    unclear = tuple(row.name for row in measured if _off(row.error) >= tolerance_m)
     clear = [row for row in measured if row.name not in unclear]
-    can_go = tuple(row.name for row in clear if row.on and _off(row.influence) < tolerance_m)
+    can_go = tuple(row for row in clear if row.on and _off(row.influence) < tolerance_m)
     return Advice(
         tolerance_m=tolerance_m,
         can_go=can_go,
-        together=_together(study, can_go) if can_go else None,
-        missing=tuple(row.name for row in clear if not row.on and _off(row.influence) >= tolerance_m),
-        unclear=tuple(row.name for row in measured if row.name in unclear),
+        together=_together(study, [row.name for row in can_go]) if can_go else None,
+        missing=tuple(row for row in clear if not row.on and _off(row.influence) >= tolerance_m),
+        unclear=unclear,
     )
 
 
@@ -63,10 +77,11 @@ def _off(influence: Sensitivity | None) -> float:
     return float("inf") if influence.parcels else influence.displacement_m or 0.0
 
 
-def _together(study: EffectStudy, names: Sequence[str]) -> Sensitivity | None:
-    """Compute the joint influence of several effects and their dependents."""
+def _together(study: EffectStudy, names: Sequence[str]) -> Together | None:
+    """Measure several effects and their dependents at once."""
     scene, own = study.scene, tables(study.scene)
     gone = {other for name in names for other in dependents(name, own)}
+    study.notify(f"all of {', '.join(names)} ...")
     try:
         without = variant(
             scene,
@@ -76,5 +91,8 @@ def _together(study: EffectStudy, names: Sequence[str]) -> Sensitivity | None:
     except VariantRejected:
         return None
     cells = needs_cells(scene) or needs_cells(without)
-    results = [study.result(one, cells=cells) for one in (scene, without)]
-    return compare(*results) if all(result.status == "ok" for result in results) else None
+    influence = study.influence(scene, without, cells=cells)
+    if influence is None:
+        return None
+    (cost,) = study.costs([(scene, without, cells)])
+    return Together(influence=influence, cost=cost)

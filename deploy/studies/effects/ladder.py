@@ -8,8 +8,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, final
 
 from deploy.errors import InputError
-from deploy.runs.headless import needs_cells, run_headless
-from deploy.runs.result import RunResult
+from deploy.runs.headless import needs_cells
 from deploy.studies.effects.ablation import (
     Table,
     VariantRejected,
@@ -20,6 +19,7 @@ from deploy.studies.effects.ablation import (
     typical,
     variant,
 )
+from deploy.studies.effects.run import TracedRun, run_variant
 from deploy.studies.effects.sensitivity import Sensitivity, compare
 
 if TYPE_CHECKING:
@@ -69,15 +69,20 @@ class RungResult:
 
     Attributes:
         rung: Which.
-        wall_s: Median of its runs; None where it was not run, or came to no end.
-        distance: From the top rung; None likewise.
+        walls_s: Wall times of its runs, s; empty where it was not run, or came to no end.
+        distance: Difference from the top rung's run; None likewise.
         reason: Why; empty where all is well.
     """
 
     rung: Rung
-    wall_s: float | None = None
+    walls_s: Sequence[float] = ()
     distance: Sensitivity | None = None
     reason: str = ""
+
+    @property
+    def wall_s(self) -> float | None:
+        """Median wall time, s."""
+        return median(self.walls_s) if self.walls_s else None
 
 
 def rungs(scene: Scene) -> list[Rung]:
@@ -164,27 +169,28 @@ def run_ladder(ladder: Sequence[Rung], repeats: int, notify: Callable[[str], Non
     """
     there = {rung.name: rung.scene for rung in ladder if rung.scene is not None}
     cells = any(needs_cells(scene) for scene in there.values())
-    results: dict[str, RunResult] = {}
+    runs: dict[str, TracedRun] = {}
     reasons = {rung.name: rung.reason for rung in ladder}
-    for name, scene in there.items():
-        notify(f"{name} ...")
+    for number, (name, scene) in enumerate(there.items(), start=1):
+        notify(f"{name} ({number} of {len(there)}) ...")
         try:
-            result = run_headless(scene, cells=cells)
+            run = run_variant(scene, cells=cells, notify=notify)
         except InputError as why:  # a scene may be valid, and its plant still refuse it
             reasons[name] = str(why)
             continue
-        reasons[name] = result.reason
-        if result.status == "ok":
-            results[name] = result
-    walls: dict[str, list[float]] = {name: [] for name in results}
+        reasons[name] = run.result.reason
+        if run.result.ok:
+            runs[name] = run
+    walls: dict[str, list[float]] = {name: [] for name in runs}
     for turn in range(repeats):
-        notify(f"times, {turn + 1} of {repeats} ...")
+        seconds = sum(run.result.wall_s for run in runs.values())
+        notify(f"timing, round {turn + 1} of {repeats} (about {seconds:.2g} s) ...")
         for name, spans in walls.items():
-            spans.append(run_headless(there[name], cells=cells).wall_s)
-    tops = [rung.name for rung in ladder if rung.name in results and not rung.instead]
+            spans.append(run_variant(there[name], cells=cells, notify=notify).result.wall_s)
+    tops = [rung.name for rung in ladder if rung.name in runs and not rung.instead]
     return [
-        RungResult(rung, median(walls[rung.name]), compare(results[rung.name], results[tops[-1]]))
-        if rung.name in results and tops
+        RungResult(rung, walls[rung.name], compare(runs[rung.name], runs[tops[-1]]))
+        if rung.name in runs and tops
         else RungResult(rung, reason=reasons[rung.name])
         for rung in ladder
     ]

@@ -137,76 +137,136 @@ class Group(NamedTuple):
 
 
 class ImpulseWorkspace(NamedTuple):
-    """Contact problem of one island; see ``plant.kernels.contact.problem``. ``c`` constraints, ``f`` faces.
+    """Contact problem of one island of ``c`` constraints and ``f`` faces; see ``plant.kernels.contact.problem``.
 
     Attributes:
-        leader: smallest body of each body's island, ``(b,)``.
-        row: rows of the island, ``(2 f,)``.
-        face: face of each row, ``(2 f,)``.
-        bodies: both bodies of each constraint, ``(c, 2)``.
+        leader: a body of each body's island, ``(b,)``.
+        until: end of the rows of each island, by its leader, ``(b,)``.
+        island: leaders of the islands, ``(b,)``.
+        row: rows, island by island, ``(2 f,)``.
+        face: face of each row of the island, ``(2 f,)``.
+        normal: first normal of each face, and the end of them all, ``(f + 1,)``.
+        bodies: both bodies of each face, ``(f, 2)``.
+        head: entry of each body's first face, ``(b,)``: twice the face, and which of its bodies.
+        other: entry of the next face of the same body, ``(2 f,)``; -1 for none.
         arms: unit impulse of each constraint on both bodies, force and moment, ``(c, 6)``.
         lacking: motion along each constraint without impulses, less the motion wanted, ``(c,)``.
+        yielding: motion along each constraint per unit impulse along itself, ``(c,)``, 1/kg.
         friction: Coulomb's coefficient of each face, ``(f,)``.
         held: nonzero where the tangent's motion is given whatever it takes, ``(f,)``.
-        matrix: motion along each constraint per unit impulse along each, ``(c, c)``, 1/kg.
         mode: mode of each constraint, ``(c,)``.
+        selected: whether each impulse is unknown, ``(c,)``.
+        order: faces along the island, ``(f,)``.
+        seen: faces seen on the way, ``(f,)``.
+        least, most: first and last unknown of each face, ``(f,)``.
         unknowns: constraints with unknown impulses, ``(c,)``.
-        last: scratch of the elimination, ``(2, c)``.
-        system: linear system of the modes, ``(c, c)``.
+        place: number of each constraint among the unknowns, ``(c,)``; -1 for none.
+        slope: impulse across per normal impulse of each face that slides, ``(f,)``.
+        system: banded system of the modes, see ``plant.kernels.contact.linear``.
+        pivot: exchanged rows of its factors, ``(c,)``.
         push: normal impulse of each face, ``(f,)``.
-        impulse, start, trial, best, motion, solution: ``(c,)`` each.
+        gained: motion of each body by impulses, ``(b, 3)``.
+        impulse, start, trial, best, anchor, motion, solution: ``(c,)`` each.
+        line: constraint and sense of each row of ``table``, ``(t, 2)``.
+        table: dictionary of Lemke's method, ``(t, t + 3)``.
+        basis, outside: its variables, ``(t,)`` and ``(t + 1,)``.
+        tally: see ``plant.kernels.contact.layout``.
     """
 
     leader: Integers
+    until: Integers
+    island: Integers
     row: Integers
     face: Integers
+    normal: Integers
     bodies: Integers
+    head: Integers
+    other: Integers
     arms: Floats
     lacking: Floats
+    yielding: Floats
     friction: Floats
     held: Integers
-    matrix: Floats
     mode: Integers
+    selected: Integers
+    order: Integers
+    seen: Integers
+    least: Integers
+    most: Integers
     unknowns: Integers
-    last: Integers
+    place: Integers
+    slope: Floats
     system: Floats
+    pivot: Integers
     push: Floats
+    gained: Floats
     impulse: Floats
     start: Floats
     trial: Floats
     best: Floats
+    anchor: Floats
     motion: Floats
     solution: Floats
+    line: Integers
+    table: Floats
+    basis: Integers
+    outside: Integers
+    tally: Integers
 
 
-CAPACITY: Final = 3000
-"""Most constraints of an island: matrices are dense."""
+BANDED: Final = 1 << 22
+"""Most entries of a banded system: one of 3,000 unknowns may couple those 466 apart."""
+PIVOTED: Final = 600
+"""Most rows of Lemke's method, which takes time like their cube."""
 
 
 def make_impulse_workspace(pairs: int, bodies: int) -> ImpulseWorkspace:
     """Allocate the workspace of islands of at most so many pairs; pages that no island reaches cost nothing."""
-    size = min(3 * pairs, CAPACITY)
+    size, rows = 3 * pairs, min(5 * pairs, PIVOTED)
+
+    def integers(*shape: int) -> Integers:
+        return np.zeros(shape, dtype=np.int64)
+
     return ImpulseWorkspace(
-        leader=np.zeros(bodies, dtype=np.int64),
-        row=np.zeros(2 * pairs, dtype=np.int64),
-        face=np.zeros(2 * pairs, dtype=np.int64),
-        bodies=np.zeros((size, 2), dtype=np.int64),
+        leader=integers(bodies),
+        until=integers(bodies),
+        island=integers(bodies),
+        row=integers(2 * pairs),
+        face=integers(2 * pairs),
+        normal=integers(pairs + 1),
+        bodies=integers(pairs, 2),
+        head=integers(bodies),
+        other=integers(2 * pairs),
         arms=np.zeros((size, 6)),
         lacking=np.zeros(size),
+        yielding=np.zeros(size),
         friction=np.zeros(pairs),
-        held=np.zeros(pairs, dtype=np.int64),
-        matrix=np.zeros((size, size)),
-        mode=np.zeros(size, dtype=np.int64),
-        unknowns=np.zeros(size, dtype=np.int64),
-        last=np.zeros((2, size), dtype=np.int64),
-        system=np.zeros((size, size)),
+        held=integers(pairs),
+        mode=integers(size),
+        selected=integers(size),
+        order=integers(pairs),
+        seen=integers(pairs),
+        least=integers(pairs),
+        most=integers(pairs),
+        unknowns=integers(size),
+        place=integers(size),
+        slope=np.zeros(pairs),
+        system=np.zeros(min(3 * size * size, BANDED)),
+        pivot=integers(size),
         push=np.zeros(pairs),
+        gained=np.zeros((bodies, 3)),
         impulse=np.zeros(size),
         start=np.zeros(size),
         trial=np.zeros(size),
         best=np.zeros(size),
+        anchor=np.zeros(size),
         motion=np.zeros(size),
         solution=np.zeros(size),
+        line=integers(rows, 2),
+        table=np.zeros((rows, rows + 3)),
+        basis=integers(rows),
+        outside=integers(rows + 1),
+        tally=integers(to.TALLY_SIZE),
     )
 
 
@@ -219,9 +279,11 @@ class ContactWorkspace(NamedTuple):
         marks: marks of pairs that stay together, ``(k,)``.
         held: marks of pairs held by friction, ``(k,)``.
         opens: opening speeds of pairs, ``(k,)``.
+        pushed: impulses of each pair in the last step, two along the normal and one across, ``(3 k,)``.
         first: ``(b, 3)``.
         second: ``(b, 3)``.
         third: ``(b, 3)``.
+        left: what was left unsolved, ``(LEFT_SIZE,)``.
         impulses: workspace of the contact problems.
     """
 
@@ -230,9 +292,11 @@ class ContactWorkspace(NamedTuple):
     marks: Integers
     held: Integers
     opens: Floats
+    pushed: Floats
     first: Floats
     second: Floats
     third: Floats
+    left: Floats
     impulses: ImpulseWorkspace
 
 
@@ -245,9 +309,11 @@ def make_workspace(group: Group) -> ContactWorkspace:
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs),
+        np.zeros(3 * pairs),
         first=np.zeros((bodies, 3)),
         second=np.zeros((bodies, 3)),
         third=np.zeros((bodies, 3)),
+        left=np.zeros(to.LEFT_SIZE),
         impulses=make_impulse_workspace(pairs, bodies),
     )
 

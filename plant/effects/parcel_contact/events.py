@@ -17,12 +17,12 @@ Integers = NDArray[np.int64]
 
 
 class ContactEvent(NamedTuple):
-    """A contact that began or ended.
+    """A contact that began or ended, or what contact problems left.
 
     Attributes:
         after_s: seconds after the start of the call.
-        kind: ``contact`` or ``apart``.
-        bodies: the two, by their numbers in the scene: parcels, then rails.
+        kind: ``contact``, ``apart``, ``contact_residual`` or ``parted``.
+        bodies: the two, by their numbers in the scene: parcels, then rails. The same twice where more are concerned.
         place_m: where; the middle of two points.
         detail: direction from the first to the second, and how fast they closed.
     """
@@ -72,5 +72,7 @@ def events(contacts: Sequence[ContactEvent], parcels: int, start_s: float) -> li
     for one in sorted(contacts, key=lambda one: (one.after_s, one.bodies)):
         first, second = one.bodies
         other = f"with parcel {second}" if second < parcels else f"with rail {second - parcels}"
+        if first == second:
+            other = ""
         listed.append(Event(start_s + one.after_s, one.kind, first, (), one.place_m, other + one.detail))
     return listed

@@ -94,7 +94,7 @@ class Resolution:
         """Take the group through the span.
 
         Raises:
-            PlantUnstable: contacts follow each other without end, or can't be solved.
+            PlantUnstable: contacts follow each other without end.
             PlantStopped: the end of the call was requested.
         """
         now, steps = 0.0, MANY * len(self.group.pairs) + math.ceil(span_s / self._rules.step_s)
@@ -115,13 +115,14 @@ class Resolution:
                 self._take(ended.done, now)
                 return
             if together.any():
-                self._hold(before, now, step)
+                self._hold(before, step)
             now = span_s if step >= span_s - now else now + step
             self.displacement_m += np.hypot(*(self._states() - before)[:, :2].T)
             self._note_apart(now)
         states = self._states()
-        count, _ = self._kernels.meet(self.group, states, self._work)
+        count = self._kernels.meet(self.group, states, self._work)
         self._note_begun(now, count, states)
+        self._note_left()
 
     # --- states -----------------------------------------------------------------------------------
 
@@ -137,14 +138,6 @@ class Resolution:
             if not np.array_equal(states[body], self._solver.state[parcel]):
                 self._solver.set_state(parcel, states[body])
 
-    def _settled(self, outcome: int, now: float) -> None:
-        """Raise where a problem of impulses has no solution within reach."""
-        if outcome != to.DONE:
-            what = "don't settle" if outcome == to.NOT_SETTLED else "can't part what overlaps"
-            raise PlantUnstable(
-                f"the impulses between touching bodies {what} {self._where(now)}", self._drive.start_s + now
-            )
-
     def _where(self, now: float) -> str:
         x, y = self._states()[self.group.moving, :2].mean(axis=0)
         named, at_s = self.group.parcels.tolist(), self._drive.start_s + now
@@ -155,16 +148,15 @@ class Resolution:
     def _apply_impacts(self, now: float) -> None:
         """Change velocities where bodies that touch close on each other."""
         states, work = self._states(), self._work
-        count, outcome = self._kernels.meet(self.group, states, work)
-        self._settled(outcome, now)
+        count = self._kernels.meet(self.group, states, work)
         if count:
             self._note_begun(now, count, states)
             # past a limit bouncing ends: two walls that close on a parcel would never let it
             bounce = self._rules.restitution if self._impacts < FEW * len(self.group.pairs) else 0.0
-            outcome, fastest = self._kernels.collide(
-                self.group, count, states, bounce, self._rules.friction, work
+            sequential = self._rules.impacts == "sequential"
+            fastest = self._kernels.collide(
+                self.group, count, states, bounce, self._rules.friction, sequential, work
             )
-            self._settled(outcome, now)
             self._impacts += fastest > self.group.slow
             self._note_bounced(now, count, states)
         self._put(states)
@@ -205,12 +197,31 @@ class Resolution:
             state[3:] = 0.0
             self.group = self.group.stopped(int(np.searchsorted(self.group.names, one.parcel)), state)
 
-    def _hold(self, before: Floats, now: float, step: float) -> None:
+    def _hold(self, before: Floats, step: float) -> None:
         """Correct velocities and places after a free step of pairs that stay together."""
         states = self._states()
-        outcome = self._kernels.hold(self.group, before, states, step, self._rules.friction, self._work)
-        self._settled(outcome, now + step)
+        self._kernels.hold(self.group, before, states, step, self._rules.friction, self._work)
         self._put(states)
+
+    def _note_left(self) -> None:
+        """Tell what contact problems of the call have left unsolved, and overlap that was taken out at once."""
+        left, slippery = self._work.left, int(self._work.impulses.tally[to.SLIPPERY])
+        if slippery or left[to.ERROR] > 0.0:
+            self._tell(
+                "contact_residual",
+                f"{slippery} problems solved without friction; velocities miss by up to {left[to.ERROR]:.2g} m/s",
+            )
+        if left[to.OVERLAP] > 0.0:
+            self._tell("contact_residual", f"overlap of up to {left[to.OVERLAP]:.2g} m left")
+        if left[to.PARTED] > to.NEAR_M:
+            self._tell("parted", f"overlap of up to {left[to.PARTED]:.4g} m taken out")
+
+    def _tell(self, kind: str, detail: str) -> None:
+        x, y = self._states()[self.group.moving, :2].mean(axis=0).tolist()
+        parcels = self.group.parcels.tolist()
+        self.contacts.append(
+            ContactEvent(0.0, kind, (parcels[0], parcels[0]), (x, y), f"among parcels {parcels}: {detail}")
+        )
 
     # --- events --------------------------------------------------------------------------------------
 

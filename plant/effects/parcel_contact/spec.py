@@ -23,13 +23,16 @@ class ParcelContactSpec(EffectSpec):
 
     solvers: ClassVar[tuple[str, ...] | None] = ("exact", "implicit")
     states: ClassVar[tuple[str, ...]] = ("pairs that touch",)
-    events: ClassVar[tuple[str, ...]] = ("contact", "apart")
+    events: ClassVar[tuple[str, ...]] = ("contact", "apart", "contact_residual", "parted")
     mode: Literal["report_only", "resolved"] = "resolved"
     """Mode: ``report_only`` detects contacts without effect on the motion; ``resolved`` adds impacts and friction."""
     restitution: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
     """Newton's coefficient of restitution: separation speed over approach speed."""
     bounce_speed_m_s: Positive | None = None
-    """Approach speed up to which bodies don't bounce; default: 0.01 pitches a second."""
+    """Approach speed up to which bodies don't bounce; default: 0.01 pitches a second. Restitution has its full value
+    from twice that speed on."""
+    impacts: Literal["simultaneous", "sequential"] = "simultaneous"
+    """Rule where several pairs touch at an instant: all strike at once, or one after another, the fastest first."""
     friction: NotNegative = 0.0
     """Coulomb coefficient at the touching edges."""
     rails: tuple[tuple[Vector, ...], ...] = ()

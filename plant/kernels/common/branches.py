@@ -11,10 +11,9 @@ from __future__ import annotations
 from plant.kernels.common import layout as at
 from plant.kernels.common.events import crossing, note
 from plant.kernels.common.jit import kernel
-from plant.kernels.common.motion import plane
 from plant.kernels.common.roots import NONE
 from plant.kernels.common.series import product
-from plant.kernels.common.springs import LOAD_ZERO
+from plant.kernels.common.springs import LOAD_ZERO, gap, plane_at, stiffness
 
 ROUNDING = 1e-14
 """A share of the speeds around that is none to rounding."""
@@ -87,7 +86,8 @@ def grip_now(surface, parcel, seg, a0, bx, by, e, i, axis):
     """Slip and limit of a member's wheel on the plane ``a0 + b . r``: (slip, limit, what rounding leaves of them)."""
     par, y, cell = parcel.par, parcel.y, parcel.mem[i, at.CELL]
     rx, ry = surface.pos[cell, 0] - y[0] - seg[at.CX], surface.pos[cell, 1] - y[1] - seg[at.CY]
-    limit = par[at.LIMIT_PER_SHARE] * (a0 + bx * rx + by * ry) + par[at.LIMIT]
+    share = stiffness(surface, cell, i) * (a0 + bx * rx + by * ry - gap(surface, cell))
+    limit = par[at.LIMIT_PER_SHARE] * share + par[at.LIMIT]
     slip, zero = slip_now(surface, y, par[at.FREE_SPEED], e, cell, axis)
     return slip, limit, zero + LOAD_ZERO * par[at.LIMIT_PER_SHARE] * a0
 
@@ -96,7 +96,7 @@ def grip_now(surface, parcel, seg, a0, bx, by, e, i, axis):
 def settle_branches(surface, parcel, seg, m, e):
     """Put every wheel that pulls in mode m on the branch that its load and slip ask for."""
     mem = parcel.mem
-    a0, bx, by = plane(seg)
+    a0, bx, by = plane_at(surface, seg, -seg[at.CX], -seg[at.CY])
     for i in range(parcel.ctl[at.N_MEMBERS]):
         if mem[i, at.MARK + m] == at.ACTIVE and surface.grip[mem[i, at.CELL]] != 0.0:
             for axis in range(2):
@@ -112,6 +112,7 @@ def change(surface, parcel, seg, work, order, o, i, axis, branch, zero, end):
     rx, ry = surface.pos[cell, 0] - y[0] - seg[at.CX], surface.pos[cell, 1] - y[1] - seg[at.CY]
     slip_polynomial(surface, y, par[at.FREE_SPEED], ser, order, cell, axis, slip)
     share = par[at.LIMIT_PER_SHARE] if branch == 0 else -par[at.LIMIT_PER_SHARE]
+    share *= stiffness(surface, cell, i)
     rest = par[at.LIMIT] if branch == 0 else -par[at.LIMIT]
     first = NONE
     for side in (-1, 1):
@@ -120,7 +121,7 @@ def change(surface, parcel, seg, work, order, o, i, axis, branch, zero, end):
         for k in range(order + 1):
             load = ser[o + at.M_A0, k] + ser[o + at.M_BX, k] * rx + ser[o + at.M_BY, k] * ry
             g[k] = share * load + side * slip[k]
-        g[0] += rest + 2.0 * zero
+        g[0] += rest + 2.0 * zero - share * gap(surface, cell)
         first = min(first, crossing(g, order, 0.0, end, work.p))
     return first
 
@@ -135,7 +136,7 @@ def changes_in_mode(surface, parcel, work, order, m, end):
     # a share changes by no more than this anywhere under the parcel
     load = 2.0 * par[at.RADIUS] * (sway(ser, order, o + at.M_BX) + sway(ser, order, o + at.M_BY))
     for axis in range(2):
-        along = sway(ser, order, at.S_VX + axis) + par[at.LIMIT_PER_SHARE] * load
+        along = sway(ser, order, at.S_VX + axis)
         for i in range(parcel.ctl[at.N_MEMBERS]):
             cell = mem[i, at.CELL]
             if mem[i, at.MARK + m] != at.ACTIVE or surface.grip[cell] == 0.0:
@@ -143,7 +144,8 @@ def changes_in_mode(surface, parcel, work, order, m, end):
             branch = mem[i, at.BRANCH + 2 * m + axis]
             slip, limit, zero = grip_now(surface, parcel, seg, a0, bx, by, ser[at.S_EXP, 0], i, axis)
             room = limit - abs(slip) if branch == 0 else branch * slip - limit
-            reach = along + abs(lever(surface, parcel.y, cell, axis)) * turn
+            reach = along + par[at.LIMIT_PER_SHARE] * stiffness(surface, cell, i) * load
+            reach += abs(lever(surface, parcel.y, cell, axis)) * turn
             reach += abs(surface.decay[cell, axis]) * fade
             if room > reach * end * 1.000001:
                 continue

@@ -19,18 +19,21 @@ SET_VALUED: Final = 6  # 1 where the stiffness is infinite
 ISOTROPIC: Final = 7  # 1 where both axes of a cell share one limit
 VISCOUS: Final = 8  # 1/s, by slip, beside the limited part and without a limit
 WHEEL: Final = 9  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
-LAW_SIZE: Final = 10
+LOCATED: Final = 10  # 1 where each wheel's branch of the law is held over a step, and its changes are located
+CAPTURES: Final = 11  # 1 where chatter is replaced by motion along its surface
+LAW_SIZE: Final = 12
 
 # ── pace: float64 settings and memory of one parcel
 GYRATION: Final = 0  # m
 FIXED: Final = 1  # longest step, s, where steps are fixed; else 0
 TOLERANCE: Final = 2  # m at the footprint
 NEXT: Final = 3  # step to try next, s (changes as the parcel moves)
-CROWD: Final = 4  # support changes of late (changes)
+CROWD: Final = 4  # support changes of late; where they are located, those in a row at one instant (changes)
 OUTRUN: Final = 5  # 1 while the parcel outruns a wheel that the law takes to be faster (changes)
 STEPS_LEFT: Final = 6  # of those allowed so far (changes)
 STEPS_PER_SECOND: Final = 7  # allowed; infinite where steps are fixed
-PACE_SIZE: Final = 8
+LOCATES: Final = 8  # 1 where supports are held over a step, and their changes are located
+PACE_SIZE: Final = 9
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
 AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED = range(14)

@@ -10,7 +10,7 @@ from plant.kernels.common.events import SLACK, crossing, negate, note
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.modes import FRACTION_ZERO
 from plant.kernels.common.roots import horner
-from plant.kernels.common.springs import LOAD_ZERO
+from plant.kernels.common.springs import gap, negligible
 
 
 @kernel
@@ -53,7 +53,7 @@ def load_changes(surface, parcel, work, order, end, count, m):
     ser, g = work.ser, work.g
     o = at.MODES_AT + m * at.MODE_ROWS
     a0, bx, by = o + at.M_A0, o + at.M_BX, o + at.M_BY
-    zero = LOAD_ZERO * ser[a0, 0]
+    zero = negligible(surface, ser[a0, 0])
     swing = 0.0
     for k in range(1, order + 1):
         swing += abs(ser[bx, k]) + abs(ser[by, k])
@@ -62,12 +62,14 @@ def load_changes(surface, parcel, work, order, end, count, m):
         if mark == at.ABSENT or (mark == at.LIFTED and seg[at.RANK] < 2):
             continue
         rx, ry = pos[cell, 0] - y[0] - seg[at.CX], pos[cell, 1] - y[1] - seg[at.CY]
-        now = ser[a0, 0] + ser[bx, 0] * rx + ser[by, 0] * ry
+        below = gap(surface, cell)
+        now = ser[a0, 0] + ser[bx, 0] * rx + ser[by, 0] * ry - below
         bound = swing * (rx * rx + ry * ry) ** 0.5 * end * 1.000001 + 2.0 * zero
         if abs(now) > bound:
             continue
         for k in range(order + 1):
             g[k] = ser[a0, k] + ser[bx, k] * rx + ser[by, k] * ry
+        g[0] -= below
         if mark == at.LIFTED:
             negate(g, order)
         g[0] += 2.0 * zero

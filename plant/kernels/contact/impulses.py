@@ -13,24 +13,33 @@ from typing import Final
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
-from plant.kernels.contact.active_set import solve_island
+from plant.kernels.contact.active_set import improve, sweep
+from plant.kernels.contact.linear import order_faces
+from plant.kernels.contact.pivoting import pivot
 from plant.kernels.contact.problem import (
     apply_impulses,
     assemble,
-    assemble_matrix,
-    island_of,
-    mark_islands,
-    select_rows,
+    face_of,
+    number_faces,
+    sort_islands,
 )
 
 SOLVED: Final = 1e-13
 """Error of a problem's solution, over the fastest motion, at which the search ends."""
 ACCEPTED: Final = 1e-12
 """Error of velocities above which another attempt is made."""
-UNSETTLED: Final = 1e-9
-"""Error above which a problem counts as not solved."""
-TOO_LARGE: Final = 1.0
-"""Error of an island that the workspace has no room for."""
+TOLERATED: Final = 1e-8
+"""Error with friction above which another attempt is made: edges are known to a nanometre only, which for
+boxes is an angle of as much, and what differs by as little can't be told apart."""
+MOVED: Final = (1e-10, 1e-8)
+"""How much constants are moved for Lemke's method, over the largest."""
+UNSETTLED: Final = 1e-7
+"""Error above which a problem counts as not solved: it is solved without friction instead."""
+SWEEPS: Final = (2, 10, 40, 160, 640)
+"""Sweeps before the first attempts without impulses to start from."""
+LAST_SWEEPS: Final = 200
+LAST_SHARE: Final = 0.5
+"""Sweeps of the last attempt, and their damping: strong friction at several points can go in circles."""
 
 
 @kernel
@@ -53,37 +62,118 @@ def sliding(row, u, v):
 
 
 @kernel
-def settle(work, count, inverse, motion, accepted):
+def attempt(count, faces, enough, best, inverse, work):
+    """Take Newton steps from ``work.trial``; keep in ``work.impulse`` what beats ``best``. Returns the least error."""
+    error = improve(count, faces, work.trial, enough, inverse, work)
+    if error < best:
+        best = error
+        for c in range(count + faces):
+            work.impulse[c] = work.trial[c]
+    return best
+
+
+@kernel
+def solve_island(count, faces, scale, enough, accepted, inverse, work):
+    """Find the impulses of an assembled island, ``work.impulse``, from those in it on.
+
+    Attempts are, in turn: Newton steps from the given impulses; from those of a few sweeps, then of more; from Lemke's;
+    from damped sweeps. The best impulses of all are the result, or those without friction where they don't do.
+
+    Args:
+        count: number of normals.
+        faces: number of faces.
+        scale: fastest motion in the problem.
+        enough: error, over the fastest motion, at which the search ends.
+        accepted: the same, above which another attempt is made; with friction it is `TOLERATED` at least.
+        inverse: ``(b, 2)`` one over mass and over moment of inertia.
+        work: workspace with an assembled island.
+
+    Returns:
+        The error of the impulses, as a motion.
+    """
+    order_faces(faces, inverse, work)
+    size, given, rubs, best = count + faces, False, False, 1e300
+    for c in range(size):
+        given = given or work.impulse[c] != 0.0
+        work.start[c] = 0.0
+        work.trial[c] = work.impulse[c]
+    for f in range(faces):
+        rubs = rubs or work.friction[f] > 0.0
+    if rubs:
+        accepted = max(accepted, TOLERATED)
+    enough, accepted, unsettled = enough * scale, accepted * scale, UNSETTLED * scale
+    if given:
+        best = attempt(count, faces, enough, best, inverse, work)
+    for times in SWEEPS:
+        if best <= accepted:
+            return best
+        sweep(count, faces, work.start, times, 1.0, inverse, work)
+        for c in range(size):
+            work.trial[c] = work.start[c]
+        best = attempt(count, faces, enough, best, inverse, work)
+    if best > accepted:
+        work.tally[to.PIVOTED] += 1
+        for moved in MOVED:
+            if best > accepted and pivot(count, faces, work.trial, work.table, moved, inverse, work):
+                best = attempt(count, faces, enough, best, inverse, work)
+    if best > accepted:
+        work.tally[to.SWEPT] += 1
+        sweep(count, faces, work.start, LAST_SWEEPS, LAST_SHARE, inverse, work)
+        for c in range(size):
+            work.trial[c] = work.start[c]
+        best = attempt(count, faces, enough, best, inverse, work)
+    if rubs and best > unsettled:
+        # without friction the problem is convex: nothing closes, whatever friction would have done
+        work.tally[to.SLIPPERY] += 1
+        best = 1e300
+        for f in range(faces):
+            work.friction[f] = 0.0
+        for c in range(size):
+            work.start[c] = work.trial[c] = 0.0
+        sweep(count, faces, work.trial, SWEEPS[0], 1.0, inverse, work)
+        best = attempt(count, faces, enough, best, inverse, work)
+    return best
+
+
+@kernel
+def slot(ends, begin, count, c, island):
+    """Return where the impulse of a constraint is kept: two normals and a tangent for each pair."""
+    f = face_of(count, c, island)
+    pair = ends[island.row[begin + island.normal[f]], to.PAIR]
+    return 3 * pair + (c - island.normal[f] if c < count else 2)
+
+
+@kernel
+def settle(rows, ends, work, inverse, motion, enough, accepted, remembered):
     """Solve the contact problems of all islands, and change ``motion`` by their impulses.
 
     Args:
-        work: ``plant.effects.parcel_contact.bodies.ContactWorkspace``, with ``count`` rows.
-        count: how many rows.
+        rows: contact points, pair by pair.
+        ends: their bodies and pairs.
+        work: ``plant.effects.parcel_contact.bodies.ContactWorkspace``.
         inverse: ``(b, 2)`` one over mass and over moment of inertia; 0, 0 for what can't be moved.
         motion: ``(b, 3)`` along x, along y, turning; changed in place.
-        accepted: error, over the fastest motion, above which another attempt is made.
+        enough: error, over the fastest motion, at which the search ends.
+        accepted: the same, above which another attempt is made.
+        remembered: whether attempts begin with the impulses of the last such problem, and these are kept for the next.
 
     Returns:
-        The largest error left in an island, over the island's fastest motion.
+        The largest error left in an island that counts as not solved, as a motion; 0 if all are.
     """
-    worst, island = at.NOTHING, work.impulses
-    mark_islands(work.ends, count, inverse, island.leader)
-    for n in range(count):
-        here = island_of(work.ends, n, inverse, island.leader)
-        first = True
-        for k in range(n):
-            if island_of(work.ends, k, inverse, island.leader) == here:
-                first = False
-                break
-        if not first:
-            continue
-        points, faces = select_rows(work.ends, count, inverse, here, island)
-        if points + faces > island.lacking.shape[0]:
-            return TOO_LARGE
-        scale = assemble(work.rows, work.ends, points, faces, motion, island)
+    worst, island, begin = at.NOTHING, work.impulses, at.ZERO
+    for k in range(sort_islands(ends, ends.shape[0], inverse, island)):
+        end = island.until[island.island[k]]
+        points, faces = end - begin, number_faces(ends, begin, end, island)
+        scale = assemble(rows, ends, island.row[begin:end], faces, inverse, motion, island)
         if scale > 0.0:
-            assemble_matrix(points + faces, inverse, island)
-            error = solve_island(points, faces, SOLVED * scale, accepted * scale, island)
-            apply_impulses(points + faces, inverse, motion, island)
-            worst = max(worst, error / scale)
+            for c in range(points + faces):
+                island.impulse[c] = work.pushed[slot(ends, begin, points, c, island)] if remembered else 0.0
+            error = solve_island(points, faces, scale, enough, accepted, inverse, island)
+            apply_impulses(points, faces, island.impulse, inverse, motion, island)
+            for c in range(points + faces if remembered else 0):
+                work.pushed[slot(ends, begin, points, c, island)] = island.impulse[c]
+            if error > UNSETTLED * scale:
+                worst = max(worst, error)
+            island.tally[to.PROBLEMS] += 1
+        begin = end
     return worst

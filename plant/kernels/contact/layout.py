@@ -31,10 +31,20 @@ ROW_SIZE: Final = 13
 # ── ends: int64 (2 pairs, 3), the two bodies of a row, and the pair
 PAIR: Final = 2
 
-# ── outcomes
-DONE: Final = 0
-NOT_SETTLED: Final = 1
-NOT_PARTED: Final = 2
+# ── tally: int64 (TALLY_SIZE,), of the problems of islands
+PROBLEMS: Final = 0  # solved
+PIVOTED: Final = 1  # of them those that Newton steps left to Lemke's method
+SWEPT: Final = 2  # of them those left to sweeps
+SLIPPERY: Final = 3  # of them those solved without friction, as no solution with it was found
+TALLY_SIZE: Final = 4
+
+# ── left: float64 (LEFT_SIZE,), the most that was left
+ERROR: Final = 0  # of velocities, m/s
+OVERLAP: Final = 1  # of two bodies, m
+PARTED: Final = 2  # m, overlap that was taken out of places at once
+LEFT_SIZE: Final = 3
+
+# ── marks of pairs
 EVERY: Final = -1
 """All pairs, not only those with one mark."""
 TOGETHER: Final = 1

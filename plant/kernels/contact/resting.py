@@ -8,7 +8,7 @@ from typing import Final
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
-from plant.kernels.contact.impulses import ACCEPTED, UNSETTLED, leaving, settle, sliding
+from plant.kernels.contact.impulses import ACCEPTED, SOLVED, leaving, settle, sliding
 from plant.kernels.contact.manifold import build_rows, move_row
 
 KEEP_M: Final = 0.5 * to.TOUCH_M
@@ -17,10 +17,12 @@ PARTED_M: Final = 1e-3 * KEEP_M
 """What is left of overlap or slip when places are right."""
 ROUNDS: Final = 20
 """Corrections of places, each linear, until they are right: two or three do mostly."""
-PLACED: Final = 1e-6
+SHIFTED: Final = 1e-8
+"""Error of shifts, over the largest, at which the search ends."""
+PLACED: Final = 1e-3
 """Error of shifts, over the largest, above which another attempt is made; further rounds correct what is left."""
-UNPLACED: Final = 1e-2
-"""Error above which shifts count as not found."""
+HELD_ROUNDS: Final = 3
+"""Rounds in which slip counts: parcels that hold each other all round may ask for what can't be."""
 STANDS_M_S: Final = 1e-9
 """What slides more slowly, and is held by friction, stands."""
 
@@ -89,17 +91,14 @@ def hold(group, before, states, step, friction, work):
         step: s.
         friction: Coulomb's coefficient.
         work: ``plant.effects.parcel_contact.bodies.ContactWorkspace``, with the marks of ``together``.
-
-    Returns:
-        Outcome.
     """
     rows, ends, held, motion = work.rows, work.ends, work.held, work.first
     count = pressed(group, before, states, step, friction, work)
     for i in range(states.shape[0]):
         for k in range(3):
             motion[i, k] = states[i, 3 + k]
-    if settle(work, count, group.inverse, motion, ACCEPTED) > UNSETTLED:
-        return to.NOT_SETTLED
+    error = settle(rows[:count], ends[:count], work, group.inverse, motion, SOLVED, ACCEPTED, True)
+    work.left[to.ERROR] = max(work.left[to.ERROR], error)
     for i in range(states.shape[0]):
         for k in range(3):
             states[i, k] += 0.5 * step * (motion[i, k] - states[i, 3 + k])
@@ -115,7 +114,7 @@ def hold(group, before, states, step, friction, work):
             held[p] = to.SLIPPING
         elif held[p] != to.SLIPPING:
             held[p] = to.HELD
-    return to.DONE if part(group, before, states, work) else to.NOT_PARTED
+    part(group, before, states, work)
 
 
 @kernel
@@ -140,14 +139,12 @@ def slipped(row, before_i, now_i, before_j, now_j):
 def part(group, before, states, work):
     """Take overlap out of places, and slip since ``before`` out of the pairs held; changes ``states``.
 
-    Shifts are the least in the metric of the masses: the common centre of mass of what moves stays.
-
-    Returns:
-        Whether no bodies overlap any more.
+    Shifts are the least in the metric of the masses: the common centre of mass of what moves stays. Overlap that is
+    left is noted in ``work.left``.
     """
     rows, ends, shift = work.rows, work.ends, work.second
     least = at.NOTHING
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         count = build_rows(group, work.marks, to.EVERY, states, to.NEAR_M, rows, ends)
         worst, least = 0.0, 0.0
         for n in range(count):
@@ -161,18 +158,15 @@ def part(group, before, states, work):
             ):
                 row[to.HOLD] = 1.0
                 row[to.ASIDE_WANTED] = -slipped(row, before[i], states[i], before[j], states[j])
-                worst = max(worst, abs(row[to.ASIDE_WANTED]))
+                if turn < HELD_ROUNDS:
+                    worst = max(worst, abs(row[to.ASIDE_WANTED]))
         if worst <= PARTED_M:
-            return True
+            return
         for i in range(states.shape[0]):
             for k in range(3):
                 shift[i, k] = 0.0
-        if settle(work, count, group.inverse, shift, PLACED) > UNPLACED:
-            # parcels that hold each other all round may ask for what can't be: their slip is let go
-            for p in range(work.held.shape[0]):
-                work.held[p] = 0
-            continue
+        settle(rows[:count], ends[:count], work, group.inverse, shift, SHIFTED, PLACED, False)
         for i in range(states.shape[0]):
             for k in range(3):
                 states[i, k] += shift[i, k]
-    return least >= 0.0
+    work.left[to.OVERLAP] = max(work.left[to.OVERLAP], -least)

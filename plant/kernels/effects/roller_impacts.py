@@ -16,8 +16,8 @@ from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import gap, plane_at, stiffness
 from plant.kernels.common.step_end import allowed, rollers_under, strike
 from plant.kernels.common.surface import Rollers
-from plant.kernels.implicit.advance import decay
 from plant.kernels.implicit.hooks import begun, lightness, recoil, speed, unloaded
+from plant.kernels.implicit.supports import decay
 
 PART = 0.25
 """Longest step, in spacings of slip at the fastest wheel."""

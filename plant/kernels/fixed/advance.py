@@ -11,10 +11,10 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import fill, sampled_until
 from plant.kernels.common.jit import kernel
-from plant.kernels.implicit.advance import decay, find_loads
 from plant.kernels.implicit.balance_hooks import balance, begin_balance
 from plant.kernels.implicit.step import EPSILON, grasp, pull, sign, unlimited
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
+from plant.kernels.implicit.supports import decay, find_loads
 
 NOW = 0.0
 """Forces are those of this instant, not those of an instant ahead. Named, for the compiler: see ``layout.ZERO``."""

@@ -1,255 +1,44 @@
-"""The implicit solver's loop of one parcel: loads, a step, how wrong it was, what changed.
+"""The implicit solver's loop of one parcel: steps, and what changed.
 
-Loads are those of the pose a step begins at, so cells enter and leave, and loads vanish and return, at the ends of
-steps. Where the step is controlled, it is taken in 1, 2, 3 and 4 parts and the four results are extrapolated to no step
-length at all; a change of supports within makes them differ, and the step shrinks until that counts for little.
+Controlled steps end at the first change of supports in them (``located``). Steps of a given length, those on wheels
+with a width, whose supports change without a jump, and those whose traction shifts the loads, take the supports of the
+pose that each of their parts begins at: there, cells enter and leave, loads vanish and return, at the ends of steps.
 """
 
 from __future__ import annotations
 
-from math import cos, exp, sin
+from math import exp
 
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
-from plant.kernels.common.footprint import box, fill, inside, may_go_on, sampled_until
+from plant.kernels.common.footprint import fill, may_go_on, sampled_until
 from plant.kernels.common.jit import kernel
-from plant.kernels.common.loads import settle
-from plant.kernels.common.springs import reach, smooth, touches, unshift
+from plant.kernels.common.springs import reach
 from plant.kernels.common.step_end import allowed, strike
-from plant.kernels.implicit.balance_hooks import balance, begin_balance
-from plant.kernels.implicit.hooks import extrapolate, keep, slow, tabulate, take_back
-from plant.kernels.implicit.step import EPSILON, grasp, regime
-from plant.kernels.implicit.step_events import note_changes, note_outrun, remember, same
-from plant.kernels.implicit.stiction_hooks import commit_grips, find_velocity, keep_grips, restore_grips
+from plant.kernels.implicit import located
+from plant.kernels.implicit.extrapolation import controlled, cut
+from plant.kernels.implicit.hooks import keep
+from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
+from plant.kernels.implicit.stiction_hooks import keep_grips
+from plant.kernels.implicit.supports import corner_speed, decay, find_loads, longest
 
-PARTS = 4
-"""Into how many parts a controlled step is cut at most."""
-LASTS = 1.0
-"""An error in velocity counts as the way it leads in this time, s."""
-JUMP = 1e-3
-"""A step however short may be wrong by this share of the tolerance: a jump of the force can't be had for less."""
-SHORTEST = 1e-12
-"""No step is shorter, s; at this length any is taken."""
-TRIFLE = 1e-10
-"""In a step this short, s, the forces are within rounding of the velocities: one not solved to rounding is as good."""
-INSTANT = 1e-9
-"""A parcel that tips does so within this time, s."""
+NARROWEST = 0.01
+"""Wheels narrower than this, in pitches, count as so wide where it is asked how far corners may move in a step."""
 SOON = 0.05
-"""Support changes are forgotten after this time, s; ..."""
-MANY = 20.0
-"""... more than this many at once are chatter: steps across them need be no shorter than ..."""
-SHORT = 1e-4
-"""... this, s, in which a parcel strays by some nanometres."""
-FARTHEST = 1e9
-"""A parcel this many pitches away has no cells under it."""
+"""Support changes are forgotten after this time, s, where they are counted as chatter."""
 
 
 @kernel
-def find_loads(surface, parcel, work):
-    """Which cells lie under the parcel where it is, and which of them carry load. Returns the status."""
-    y, par, mem, grid = parcel.y, parcel.par, parcel.mem, surface.grid
-    count, slack = at.ZERO, par[at.ON_SURFACE] + reach(surface)
-    away = max(abs(y[0] - par[at.ORIGIN_X]), abs(y[1] - par[at.ORIGIN_Y]))
-    if away < FARTHEST * par[at.PITCH]:
-        c, s = cos(y[at.THETA]), sin(y[at.THETA])
-        first_row, last_row, first_column, last_column = box(parcel.vertices, y, par, grid, slack)
-        for row in range(first_row, last_row + 1):
-            for column in range(first_column, last_column + 1):
-                cell = grid[row, column]
-                if cell >= 0 and inside(
-                    surface.pos[cell, 0], surface.pos[cell, 1], parcel.normal, parcel.offset, y, c, s, slack
-                ):
-                    mem[count, at.CELL], mem[count, at.MARK] = cell, at.ACTIVE
-                    if touches(surface, parcel, count, c, s):
-                        count += 1
-    parcel.ctl[at.N_MEMBERS] = count
-    status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
-    if status == at.TIPPED and unshift(surface):
-        # the traction that shifted the loads may be gone
-        status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
-    return status
+def look_ahead(surface, parcel, work, now, left):
+    """How long a controlled step may be at most, s: no corner passes a wheel's width in it."""
+    h, par, width = min(longest(parcel.par, now, left), work.pace[im.NEXT]), parcel.par, 2.0 * reach(surface)
+    speed, way = corner_speed(parcel), max(width, NARROWEST * par[at.PITCH])
+    return way / speed if speed * h > way else h
 
 
 @kernel
-def decay(par, time):
-    """Compute the decay factor of the motors' transient after ``time``; 0 without motors."""
-    return exp(-par[at.RATE] * time) if par[at.RATE] > 0.0 else 0.0
-
-
-@kernel
-def euler(surface, parcel, work, until, h):
-    """One implicit step of ``h`` that ends at ``until``, with the loads found last.
-
-    Returns (status, the wheels' ``regime``, how many pull).
-    """
-    y, arm, start, w = parcel.y, work.pace[im.GYRATION], work.start, work.velocity
-    start[0], start[1], start[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
-    begin_balance(surface)
-    while True:
-        count = grasp(surface, parcel, work, work.law, decay(parcel.par, until), h)
-        if not find_velocity(surface, parcel, work, count, h, w):
-            status = im.NOT_SOLVED
-            break
-        noise = 8.0 * EPSILON * (abs(w[0]) + abs(w[1]) + abs(start[0]) + abs(start[1])) / h
-        status = balance(surface, parcel, work, (w[0] - start[0]) / h, (w[1] - start[1]) / h, noise)
-        if status != im.UNBALANCED:
-            break
-    if status == at.TIPPED:
-        return status, 0.0, count
-    # untouched where nothing pulls: scaling to and fro could cost its last digit
-    turning = y[at.OMEGA] if w[2] == start[2] else w[2] / arm
-    y[at.UX], y[at.UY], y[at.OMEGA] = w[0], w[1], turning
-    y[0] += h * w[0]
-    y[1] += h * w[1]
-    y[at.THETA] += h * turning
-    return status, regime(work, count, work.law[im.ISOTROPIC], w), count
-
-
-@kernel
-def branches(law):
-    """Whether a law has branches: its force has a limit that some slip reaches."""
-    return law[im.SET_VALUED] != 0.0 or (
-        (law[im.LIMIT] < 1e300 and law[im.LIMIT_PER_SHARE] < 1e300)
-        and (law[im.STIFFNESS] > 0.0 or law[im.STIFFNESS_PER_SHARE] > 0.0)
-    )
-
-
-@kernel
-def note_branches(surface, parcel, work, now):
-    """Keep which branch of the law each wheel is on now, and the acceleration, in ``work.begun``; the state stays."""
-    y, end = parcel.y, work.end
-    for k in range(6):
-        end[k] = y[k]
-    _, work.begun[3], _ = euler(surface, parcel, work, now + INSTANT, INSTANT)
-    for k in range(3):
-        work.begun[k] = (y[at.UX + k] - end[at.UX + k]) / INSTANT
-    for k in range(6):
-        y[k] = end[k]
-
-
-@kernel
-def cut(surface, parcel, work, now, h, parts):
-    """Take a step from ``work.begin`` in equal parts, the loads found afresh for each. Returns the status."""
-    y, part = parcel.y, h / parts
-    for k in range(6):
-        y[k] = work.begin[k]
-    take_back(work)
-    restore_grips(surface)
-    for j in range(parts):
-        status = find_loads(surface, parcel, work)
-        if status != at.MOVING:
-            return status
-        status, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
-        slow(work, parcel, pulling, part)
-        commit_grips(surface, pulling)
-        if j == 0:
-            work.first[3] = wheels
-            for k in range(3):
-                work.first[k] = y[at.UX + k] - work.begin[at.UX + k]
-        if not finite(y):
-            return at.NOT_FINITE
-        if status == at.TIPPED or (status == im.NOT_SOLVED and part > TRIFLE):
-            return status
-    return at.MOVING
-
-
-@kernel
-def extrapolated(surface, parcel, work, now, h):
-    """Take a step in 1 to 4 parts; the extrapolated state into ``parcel.y``. Returns (status, error in m)."""
-    y, table, last = parcel.y, work.table, work.table[PARTS - 1]
-    for parts in range(1, PARTS + 1):
-        status = cut(surface, parcel, work, now, h, parts)
-        if status != at.MOVING:
-            return status, 1e300
-        for k in range(6):
-            table[parts - 1, k] = y[k]
-        tabulate(work, parts - 1)
-    for k in range(6):
-        # differences from the last: where all agree to the bit, as they do of a parcel that sticks, so does the result
-        one, two, three = table[0, k] - last[k], table[1, k] - last[k], table[2, k] - last[k]
-        y[k] = last[k] - one / 6.0 + 4.0 * two - 13.5 * three
-        work.error[k] = -one / 6.0 + 2.0 * two - 4.5 * three
-    error = length(work.error, at.ZERO, parcel) + LASTS * length(work.error, at.UX, parcel)
-    return at.MOVING, max(error, extrapolate(work, LASTS))
-
-
-@kernel
-def length(state, first, parcel):
-    """Size of a displacement or velocity at the footprint, given from entry ``first`` on."""
-    along, turn = state[first] * state[first] + state[first + 1] * state[first + 1], abs(state[first + 2])
-    return along**0.5 + parcel.par[at.RADIUS] * turn
-
-
-@kernel
-def unseen(surface, parcel, work, now, h, before):
-    """Error, m, by a change in the first or last part of a step just taken, which extrapolation can't see.
-
-    A change of supports, or of the branch of the law at some wheel. The last part had no look at its end; one in the
-    first part looks like one at the start, to every way of cutting the step. Estimated by the change of velocity in the
-    first part, against that in one more part after the step's end, and against the acceleration of ``note_branches``.
-    """
-    y, part, error, first = parcel.y, h / PARTS, work.error, work.first
-    status = find_loads(surface, parcel, work)
-    if status != at.MOVING:
-        return 0.0 if h <= INSTANT else 1e300
-    for k in range(6):
-        work.end[k] = y[k]
-    _, wheels, _ = euler(surface, parcel, work, now + h + part, part)
-    for k in range(3):
-        error[at.UX + k] = (y[at.UX + k] - work.end[at.UX + k]) - first[k]
-    for k in range(6):
-        y[k] = work.end[k]
-    alike = same(parcel, work, before)
-    wrong = 0.0
-    if (wheels != first[3] and alike) or not (alike or smooth(surface)):
-        wrong = LASTS * length(error, at.UX, parcel)
-    if first[3] != work.begun[3]:
-        for k in range(3):
-            error[at.UX + k] = first[k] - part * work.begun[k]
-        wrong = max(wrong, LASTS * length(error, at.UX, parcel))
-    return wrong
-
-
-@kernel
-def controlled(surface, parcel, work, now, h, before):
-    """One step of at most ``h`` that is right to the tolerance. Returns (status, seconds, attempts)."""
-    pace, attempts = work.pace, at.ZERO
-    if branches(work.law):
-        note_branches(surface, parcel, work, now)
-    while True:
-        attempts += 1
-        status, error = extrapolated(surface, parcel, work, now, h)
-        allowed = pace[im.TOLERANCE] * max(h, JUMP) + rounding(parcel.y)
-        if status == at.MOVING and error <= allowed:
-            error = max(error, unseen(surface, parcel, work, now, h, before))
-        factor = 5.0 if error == 0.0 else min(5.0, max(0.1, 0.8 * (allowed / error) ** 0.25))
-        if status == at.MOVING and error <= allowed:
-            pace[im.NEXT] = max(pace[im.NEXT], h) if factor >= 1.0 and h < pace[im.NEXT] else h * factor
-            return status, h, attempts
-        if h <= SHORTEST or (h <= SHORT and pace[im.CROWD] > MANY):
-            # what no step length smooths is taken as it is, by the plain step that never gains energy
-            status = cut(surface, parcel, work, now, h, im.ONE_PART)
-            pace[im.NEXT] = 2.0 * h
-            return status, h, attempts
-        h = max(h * min(factor, 0.5), SHORTEST)
-        pace[im.NEXT] = h
-
-
-@kernel
-def rounding(y):
-    """Bound the rounding error of an extrapolated position, m. The weights of the extrapolation add up to about 20."""
-    return 20.0 * EPSILON * (abs(y[0]) + abs(y[1]))
-
-
-@kernel
-def longest(par, now, left):
-    """How long a step may be: no longer than the motors' transient, as long as it lasts, since it could pass unseen."""
-    return min(left, max(1.0 / par[at.RATE], now)) if par[at.RATE] > 0.0 else left
-
-
-@kernel
-def step(surface, parcel, work, now, left, events):
+def unlocated_step(surface, parcel, work, now, left, events):
     """One step of at most ``left`` seconds and what it changed. Returns (status, seconds, attempts)."""
     pace, attempts = work.pace, 1
     for k in range(6):
@@ -263,7 +52,7 @@ def step(surface, parcel, work, now, left, events):
         h = left / max(1.0, -((1e-9 - left / most) // 1.0))
         status = cut(surface, parcel, work, now, h, im.ONE_PART)
     else:
-        most = allowed(surface, parcel, work, now, min(longest(parcel.par, now, left), pace[im.NEXT]))
+        most = allowed(surface, parcel, work, now, look_ahead(surface, parcel, work, now, left))
         status, h, attempts = controlled(surface, parcel, work, now, most, before)
     if status == at.MOVING and not finite(parcel.y):
         status = at.NOT_FINITE
@@ -304,14 +93,21 @@ def advance(surface, parcel, work, stop, span, times, out, events):
     y, ctl, steps = parcel.y, parcel.ctl, work.pace[im.STEPS_LEFT :]
     now, sampled, taken = 0.0, 0, ctl[at.N_STEPS]
     steps[0] = min(steps[0], steps[1])
-    ctl[at.N_LOGGED] = 0
-    ctl[at.STATUS] = find_loads(surface, parcel, work)
+    ctl[at.N_LOGGED] = ctl[at.N_CROSSED] = ctl[at.N_LAST] = 0
+    locates = work.pace[im.LOCATES] != 0.0
+    if not locates:
+        ctl[at.STATUS] = find_loads(surface, parcel, work)
+    elif span == 0.0:
+        ctl[at.STATUS] = located.prepare(surface, parcel, work, now, events)
     while now < span and ctl[at.STATUS] == at.MOVING:
         ctl[at.STATUS] = may_go_on(stop, ctl[at.N_STEPS] - taken, steps, now)
         if ctl[at.STATUS] != at.MOVING:
             break
         target = times[sampled] if sampled < times.shape[0] else span
-        status, h, tries = step(surface, parcel, work, now, target - now, events)
+        if locates:
+            status, h, tries = located.step(surface, parcel, work, now, target - now, events)
+        else:
+            status, h, tries = unlocated_step(surface, parcel, work, now, target - now, events)
         ctl[at.N_STEPS] += tries
         now = target if h >= target - now else now + h
         ctl[at.STATUS] = status

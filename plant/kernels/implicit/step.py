@@ -8,7 +8,7 @@ smooth; where a force is set-valued (Coulomb's at no slip) an augmented Lagrangi
 
 from __future__ import annotations
 
-from math import isfinite, nan
+from math import exp, isfinite, nan
 
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
@@ -83,6 +83,15 @@ def sign(value):
 
 
 @kernel
+def hold_branches(mem, i, row, limit_x, limit_y):
+    """Let the wheels of member ``i`` pull as on the branches that they are on, wherever the slip leads."""
+    for axis in range(2):
+        branch = mem[i, at.BRANCH + axis]
+        row[im.CX + axis] = 1e300 if branch == 0 else 0.0
+        row[im.GX + axis] += branch * (limit_x if axis == 0 else limit_y)
+
+
+@kernel
 def grasp(surface, parcel, work, law, e, h):
     """List the wheels that pull, with the law's coefficients at the loads that ``settle`` found. Returns how many.
 
@@ -96,6 +105,10 @@ def grasp(surface, parcel, work, law, e, h):
     mx, my = ahead_x + sx - seg[at.CX], ahead_y + sy - seg[at.CY]
     a0, bx, by = plane_at(surface, seg, mx, my)
     arm = work.pace[im.GYRATION]
+    # past the instant at which a support is lifted its load goes on falling, until the step is ended there
+    continues = work.pace[im.LOCATES] != 0.0 and law[im.WHEEL] == 0.0
+    # a wheel that turns round does so at the end of a step: which way it runs is asked in the middle
+    midway = e * exp(0.5 * parcel.par[at.RATE] * h) if law[im.PUSH_PER_SHARE] != 0.0 and e > 0.0 else e
     count = at.ZERO
     for i in range(parcel.ctl[at.N_MEMBERS]):
         cell = mem[i, at.CELL]
@@ -103,7 +116,9 @@ def grasp(surface, parcel, work, law, e, h):
             continue
         rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
         pressed = a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]) - gap(surface, cell)
-        share = max(stiffness(surface, cell, i) * pressed, 0.0)
+        share = stiffness(surface, cell, i) * pressed
+        if share < 0.0 and not continues:
+            share = 0.0
         vx, vy = unloaded(surface, cell, e)
         row = wheels[count]
         row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
@@ -114,12 +129,18 @@ def grasp(surface, parcel, work, law, e, h):
         along_y *= share
         row[im.BX] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_x
         row[im.BY] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_y
-        row[im.CX] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_x
-        row[im.CY] = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_y
-        push_x, push_y = law[im.PUSH_PER_SHARE] * along_x, law[im.PUSH_PER_SHARE] * along_y
-        row[im.GX], row[im.GY] = push_x * sign(vx), push_y * sign(vy)
+        limit_x = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_x
+        limit_y = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_y
+        row[im.CX], row[im.CY] = max(limit_x, 0.0), max(limit_y, 0.0)
+        row[im.GX] = row[im.GY] = push_x = push_y = 0.0
+        if law[im.PUSH_PER_SHARE] != 0.0:
+            vx, vy = unloaded(surface, cell, midway)
+            push_x, push_y = law[im.PUSH_PER_SHARE] * along_x, law[im.PUSH_PER_SHARE] * along_y
+            row[im.GX], row[im.GY] = push_x * sign(vx), push_y * sign(vy)
         row[im.LX] = row[im.LY] = 0.0
         row[im.K] = law[im.VISCOUS]
+        if law[im.LOCATED] != 0.0:
+            hold_branches(mem, i, row, limit_x, limit_y)
         lighten(work, parcel, count, cell, push_x, push_y, h)
         if law[im.VISCOUS] != 0.0:
             row[im.GX] += row[im.K] * row[im.SX]

@@ -13,9 +13,10 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.footprint import fill, may_go_on, sampled_until
 from plant.kernels.common.jit import kernel
-from plant.kernels.implicit.advance import decay, find_loads, length
+from plant.kernels.implicit.extrapolation import length
 from plant.kernels.implicit.step import grasp, new_velocity
 from plant.kernels.implicit.step_events import note_changes, remember
+from plant.kernels.implicit.supports import decay, find_loads
 
 NOW = 0.0
 """Forces are those of this instant, not those of an instant ahead. Named, for the compiler: see ``layout.ZERO``."""

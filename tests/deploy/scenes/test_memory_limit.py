@@ -81,3 +81,13 @@ def test_what_is_available_is_the_least_of_machine_and_control_group(
     assert room.available_bytes() == 8_192_000
     monkeypatch.setattr(room, "_MEMINFO", tmp_path / "none")
     assert room.available_bytes() is None
+
+
+def test_paths_of_an_effects_study_that_can_t_fit_are_refused_at_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["effects", "elliptic", "--duration", "1e7", "--only", "pwm", "--quiet"]) == 2
+    assert capsys.readouterr().err == (
+        "scene elliptic: duration_s = 1e+07: the paths of 2 runs need about 234 GB of memory at least, and 20 GB are "
+        "available: compare fewer effects, or a shorter duration_s\n"
+    )

@@ -72,7 +72,9 @@ def test_on_uneven_supports_width_and_height_count_together() -> None:
 def test_as_wheels_become_points_the_motion_tends_to_the_captured_one_at_first_order() -> None:
     exact = Plant(spec(CHATTERS))
     wheels, widths = elliptic(exact), np.array([2e-3, 1e-3, 5e-4, 2.5e-4])
-    plants = [wide(width, CHATTERS) for width in widths]
+    # at 1e-9 m the chatter of the narrowest differs by a percent with the length of steps
+    fine: dict[str, object] = {"name": "implicit", "tolerance": 1e-10}
+    plants = [wide(width, CHATTERS, solver=fine) for width in widths]
     for time_s, bound in ((6, 0.25), (20, 1.0)):
         exact.advance(wheels, time_s * SECOND)
         off = []

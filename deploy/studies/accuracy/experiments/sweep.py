@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from deploy.studies.accuracy.console import heading, metres
+from deploy.studies.accuracy.console import adapter_words, heading, metres, verdict
 from deploy.studies.accuracy.experiments.markdown import (
     Section,
     error,
@@ -22,7 +22,7 @@ from deploy.studies.accuracy.report import AccuracyReport, AccuracyRow
 from deploy.studies.accuracy.study import StudyPlan, study
 
 TARGETS_M = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
-TIMING_S = 0.3
+TIMING_S = 1.5
 """A setting is not repeated once its runs have taken this long."""
 
 
@@ -38,7 +38,7 @@ def describe(report: AccuracyReport, repeats: int) -> Section:
     drawn: dict[str, tuple[Callable[[AccuracyReport, Path], None], str]] = {
         f"{report.scene}_cost.png": (
             draw_work_precision,
-            "error against wall time, a line a solver, both logarithmic",
+            "error against processor time in calls of the solver, a line a solver, both logarithmic",
         ),
         f"{report.scene}_tolerance.png": (
             draw_tolerance,
@@ -57,6 +57,7 @@ def describe(report: AccuracyReport, repeats: int) -> Section:
         duration=f"{report.duration_s:g}",
         cells=f"{report.cells:,}",
         reference="\n".join([f"{first[0].upper()}{first[1:]}:", "", *(f"- {line.strip()}" for line in rest)]),
+        verdict=_verdict(report),
         pictures="\n\n".join(picture(file, says) for file, (_, says) in drawn.items()),
         table=_reached(report),
         worst=_worst(report),
@@ -65,6 +66,11 @@ def describe(report: AccuracyReport, repeats: int) -> Section:
     )
     pictures = {file: partial(draw, report) for file, (draw, _) in drawn.items()}
     return Section(f"What accuracy costs: `{report.scene}`", text, pictures)
+
+
+def _verdict(report: AccuracyReport) -> str:
+    head, *lines = verdict(report)
+    return "\n".join([f"{head[0].upper()}{head[1:]}", "", *(f"- {line.strip()}" for line in lines)])
 
 
 def _reached(report: AccuracyReport) -> str:
@@ -108,6 +114,7 @@ def _remarks(report: AccuracyReport) -> list[str]:
         for row in rows
         if row.judged_by and row.judged_by != report.reference.solver
     ]
+    found += [f"{name}: {adapter_words(library)}." for name, library in report.adapters.items()]
     found += [f"{_named(row)}: {row.status}: {row.reason}." for row in rows if row.status != "ok"]
     parted = [
         f"{_named(row)} from {row.order_until:.4g} s ({metres(row.error_before)} m before)"

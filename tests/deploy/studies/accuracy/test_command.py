@@ -27,6 +27,8 @@ def test_the_json_has_the_reference_and_a_row_a_setting(capsys: pytest.CaptureFi
     assert shown.err == ""
     found = json.loads(shown.out)
     assert found["scene"] == "elliptic"
+    assert [one["target_m"] for one in found["cheapest"]] == [1e-3, 1e-6, 1e-9, 1e-12]
+    assert min(row["relative"] for row in found["rows"] if row["status"] == "ok") == 1.0
     assert found["reference"]["method"]
     agreement = found["reference"]["agreement"]
     assert {one["method"].split(",")[0] for one in agreement} >= {"closed form", "exact"}
@@ -50,6 +52,7 @@ def test_the_table_has_every_row_and_says_what_judged_it(capsys: pytest.CaptureF
     for text in (
         "exact         tolerance 1e-12",
         "fixed_step    rk4 step_s 0.001",
+        "cheapest by error:",
         "quasi_static leaves out inertia",
     ):
         assert text in out
@@ -60,12 +63,14 @@ def test_the_table_has_every_row_and_says_what_judged_it(capsys: pytest.CaptureF
 def test_a_target_is_answered_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*ALONE, "--target", "1e-6"]) == 0
     (line,) = capsys.readouterr().out.splitlines()
-    assert " reaches 1e-06 m in " in line
+    assert line.startswith("1e-06 m over 0.15 s of elliptic: ")
 
 
 def test_a_target_that_nothing_reaches_is_answered_too_with_status_1(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    assert main([*ALONE, "--target", "1e-30", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["target"] is None
     assert main([*ALONE, "--target", "1e-30"]) == 1
     (line,) = capsys.readouterr().out.splitlines()
     assert line.startswith("no setting reaches 1e-30 m on elliptic; the nearest is ")

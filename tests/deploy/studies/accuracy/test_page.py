@@ -48,7 +48,7 @@ def test_page_and_pictures_are_written_in_the_order_of_the_sections(
     path = page.write(tmp_path / "docs", repeats=2, sections=("two", "one"), say=said.append)
     text = path.read_text(encoding="utf-8")
     assert text.index("## Title of two\n\nText, 12.3 ms.") < text.index("## Title of one")
-    assert "medians of 2 runs" in text
+    assert "medians of 2 rounds" in text
     assert "| numpy |" in text
     assert "processor" in text
     assert [line.split()[1] for line in said] == ["two", "one"]
@@ -89,7 +89,7 @@ def test_the_page_is_written_by_a_command_of_its_own(
     assert main(["accuracy", "--docs"]) == 0
     assert capsys.readouterr().out == "docs/accuracy.md\n"
     assert main(["accuracy", "--docs", "elsewhere", "--repeats", "2", "--quiet"]) == 0
-    assert "medians of 2 runs" in (tmp_path / "elsewhere" / "accuracy.md").read_text(encoding="utf-8")
+    assert "medians of 2 rounds" in (tmp_path / "elsewhere" / "accuracy.md").read_text(encoding="utf-8")
     capsys.readouterr()
     assert main(["accuracy", "elliptic", "--docs"]) == 2
     assert "takes no SCENE" in capsys.readouterr().err

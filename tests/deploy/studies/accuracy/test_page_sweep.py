@@ -28,6 +28,9 @@ def _row(
         wall_s=wall_s,
         wall_low_s=wall_s,
         wall_high_s=wall_s,
+        solver_s=wall_s,
+        solver_low_s=wall_s,
+        solver_high_s=wall_s,
     )
 
 

@@ -22,7 +22,10 @@ from deploy.studies.accuracy.trace import run_trace
 from plant.solvers import restarting as restarted
 
 PLAN = StudyPlan(quick=True, repeats=1, limit_s=20.0, sampling=False)
-TIMES = ("wall_s", "wall_low_s", "wall_high_s", "speed")
+TIMES = (
+    "wall_s", "wall_low_s", "wall_high_s", "noise_low_s", "noise_high_s", "relative", "solver_s", "solver_low_s",
+    "solver_high_s", "speed",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +68,8 @@ def test_every_solver_that_claims_the_scene_is_judged_timed_and_counted(short: A
         assert row.wall_s is not None
         assert row.wall_s > 0.0
         assert row.speed == pytest.approx(0.9 / row.wall_s)
+        assert row.solver_s is not None
+        assert 0.0 < row.solver_s < row.wall_s
         assert row.effort is not None
         assert row.effort > 10
         assert row.judged_by != row.solver

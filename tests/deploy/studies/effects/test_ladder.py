@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,14 +10,14 @@ import pytest
 
 from deploy.commands.options import load_scene
 from deploy.errors import InputError
-from deploy.runs.headless import run_headless
-from deploy.runs.result import RunResult
 from deploy.scenes.scene import Scene
 from deploy.studies.effects import ladder as ladder_module
 from deploy.studies.effects.ablation import effect_types, tables
 from deploy.studies.effects.ladder import RungResult, run_ladder, rungs
 from deploy.studies.effects.plot import draw_ladder
+from deploy.studies.effects.run import TracedRun, run_variant
 from deploy.studies.effects.sensitivity import Sensitivity, compare
+from deploy.util.formatting import silent
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
 from plant.effects.wheel_load import WheelLoadSpec
@@ -103,7 +104,7 @@ def test_distances_are_from_the_last_rung_that_came_to_its_end() -> None:
     scenes = [rung.scene for rung in ladder[:3]]
     assert scenes[0] is not None
     assert scenes[2] is not None
-    wanted = compare(*(run_headless(scene, cells=True) for scene in (scenes[0], scenes[2])))
+    wanted = compare(*(run_variant(scene, cells=True, notify=silent) for scene in (scenes[0], scenes[2])))
     assert quasi.distance == wanted
     assert wanted.displacement_m is not None
     assert wanted.displacement_m > 1e-4
@@ -111,14 +112,15 @@ def test_distances_are_from_the_last_rung_that_came_to_its_end() -> None:
 
 
 def test_a_rung_that_blows_up_is_left_out_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    def followed(scene: Scene, *, cells: bool) -> RunResult:
+    def followed(scene: Scene, *, cells: bool, notify: Callable[[str], None]) -> TracedRun:
         if scene.friction.law == "stick_slip":
             raise InputError("it doesn't stand")
-        result = run_headless(scene, cells=cells)
-        quasi = scene.solver.name == "quasi_static"
-        return replace(result, status="unstable", reason="it blew up") if quasi else result
+        run = run_variant(scene, cells=cells, notify=notify)
+        if scene.solver.name == "quasi_static":
+            run.result.end("unstable", "it blew up")
+        return run
 
-    monkeypatch.setattr(ladder_module, "run_headless", followed)
+    monkeypatch.setattr(ladder_module, "run_variant", followed)
     climbed = run_ladder(rungs(load_scene("ladder", duration=0.05))[:3], 1, lambda line: None)
     assert [one.reason for one in climbed] == ["it blew up", "", "it doesn't stand"]
     assert [one.distance is None for one in climbed] == [True, False, True]
@@ -128,10 +130,12 @@ def _at(metres: float) -> Sensitivity:
     return Sensitivity(
         displacement_m=metres,
         turn_rad=0.0,
+        end_m=metres,
+        end_rad=0.0,
         parcels=0,
         settled_s=(None, None),
         events=0,
-        moved_s=None,
+        moved=None,
         only=(0, 0),
     )
 
@@ -141,7 +145,7 @@ def test_a_ladder_of_any_height_is_drawn(tmp_path: Path, distances: tuple[float,
     scene = load_scene("ladder")
     ladder = rungs(scene)
     climbed = [
-        RungResult(rung, 0.1 * (n + 1), _at(d))
+        RungResult(rung, [0.1 * (n + 1), 0.12 * (n + 1)], _at(d))
         for n, (rung, d) in enumerate(zip(ladder, distances, strict=False))
     ]
     climbed += [RungResult(rung, reason="left out") for rung in ladder[len(distances) :]]

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from deploy.commands.options import load_scene
 from deploy.errors import InputError
-from deploy.runs.headless import needs_cells, run_headless
+from deploy.runs.headless import needs_cells
 from deploy.scenes.errors import SceneError
 from deploy.scenes.files import bundled_names
 from deploy.scenes.scene import Scene
 from deploy.studies.effects import study as study_module
 from deploy.studies.effects.ablation import VariantRejected, ablate, effect_types, refined, tables, variant
+from deploy.studies.effects.run import TracedRun, compilation_announced, run_variant
 from deploy.studies.effects.sensitivity import compare
-from deploy.studies.effects.study import EffectStudy
+from deploy.studies.effects.study import Cost, EffectStudy
+from deploy.util.formatting import silent
 
 SHOWN = {
     "uneven_supports": ("uneven", 1.5),
@@ -51,6 +55,10 @@ def study(scene: Scene) -> EffectStudy:
     return EffectStudy(scene, 1, lambda line: None)
 
 
+def traced(scene: Scene, *, cells: bool = False) -> TracedRun:
+    return run_variant(scene, cells=cells, notify=silent)
+
+
 def loaded(name: str, *sets: str, duration: float | None = None) -> Scene:
     return load_scene(name, list(sets), duration=duration)
 
@@ -68,8 +76,9 @@ def test_where_an_effect_counts_its_influence_is_far_above_the_solver_s_error(ef
     assert row.reason == ""
     assert row.influence is not None
     assert row.error is not None
-    assert row.cost_ratio is not None
-    assert row.cost_ratio > 0.0
+    assert row.cost is not None
+    assert row.cost.ratio is not None
+    assert row.cost.ratio > 0.0
     if effect == "feeders":  # without it there is no parcel
         assert row.influence.parcels > 0
         assert row.error.none
@@ -159,7 +168,7 @@ def test_what_can_t_be_toggled_says_why(scene: str, sets: Sequence[str], effect:
         ablate(loaded(scene, *sets), effect)
     assert str(caught.value) == reason
     row = study(loaded(scene, *sets)).row(effect)
-    assert (row.influence, row.cost_ratio, row.reason) == (None, None, reason)
+    assert (row.influence, row.cost, row.reason) == (None, None, reason)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +194,7 @@ def test_a_contradiction_between_effects_names_both(sets: Sequence[str], names: 
 def test_the_plant_alone_moves_a_field_s_parcels_as_with_cells_to_the_last_bit() -> None:
     scene = loaded("elliptic", duration=0.4)
     assert not needs_cells(scene)
-    found = compare(run_headless(scene, cells=True), run_headless(scene, cells=False))
+    found = compare(traced(scene, cells=True), traced(scene, cells=False))
     assert found.none
     assert found.events > 0
 
@@ -228,7 +237,7 @@ def test_the_solver_s_error_is_that_of_the_worse_side() -> None:
     pair = ablate(scene, "uneven_supports")
     finer = [refined(side) for side in (pair.on, pair.off)]
     errors = [
-        compare(run_headless(side, cells=False), run_headless(fine, cells=False)).displacement_m or 0.0
+        compare(traced(side), traced(fine)).displacement_m or 0.0
         for side, fine in zip((pair.on, pair.off), finer, strict=True)
         if fine is not None
     ]
@@ -237,39 +246,106 @@ def test_the_solver_s_error_is_that_of_the_worse_side() -> None:
     assert row.error.displacement_m == max(errors) > 1e-9
 
 
-def test_the_cost_is_the_median_with_over_the_median_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    result = run_headless(loaded("elliptic", duration=0.05), cells=False)
-    spans = {True: iter([7.0, 9.0, 3.0, 50.0, 7.0]), False: iter([7.0, 9.0, 1.0, 1.5, 7.0])}
+def test_the_cost_is_the_median_over_rounds_of_which_finer_runs_are_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = traced(loaded("elliptic", duration=0.05))
+    with_it, without = iter([9.0, 3.0, 50.0]), iter([1.0, 2.0, 1.5])
 
-    def timed(scene: Scene, *, cells: bool) -> Any:
-        return replace(result, wall_s=next(spans[scene.effects.parcel_contact is not None]))
+    def timed(scene: Scene, *, cells: bool, notify: object) -> TracedRun:
+        finer = scene.solver.accuracy()["tolerance"] != 1e-9
+        on = scene.effects.parcel_contact is not None
+        wall_s = 1e3 if finer else next(with_it if on else without)
+        return replace(run, result=replace(run.result, wall_s=wall_s))
 
-    monkeypatch.setattr(study_module, "run_headless", timed)
-    row = EffectStudy(loaded("elliptic", duration=0.05), 3, lambda line: None).row("parcel_contact")
-    # the first of either side, which may compile, and the last, under a finer solver, don't count
-    assert row.wall_s == (9.0, 1.5)
-    assert row.cost_ratio == 6.0
+    monkeypatch.setattr(study_module, "run_variant", timed)
+    row = EffectStudy(loaded("elliptic", duration=0.05), 3, silent).row("parcel_contact")
+    assert row.cost == Cost([9.0, 3.0, 50.0], [1.0, 2.0, 1.5])
+    assert row.cost.ratio == 6.0
+    assert row.cost.seconds == 8.0
+    assert row.cost.range_s == (1.0, 48.5)
+    assert not row.cost.is_noise
+
+
+def test_a_cost_on_whose_sign_rounds_disagree_is_noise_and_one_round_shows_none() -> None:
+    assert Cost([1.1, 0.9], [1.0, 1.0]).is_noise
+    assert not Cost([1.1, 1.2], [1.0, 1.0]).is_noise
+    assert Cost([1.1], [1.0]).range_s is None
+    assert not Cost([1.1], [1.0]).is_noise
+
+
+def test_a_scene_that_is_a_side_of_several_pairs_is_run_once_a_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs: list[bytes] = []
+
+    def counted(scene: Scene, *, cells: bool, notify: Any) -> TracedRun:
+        runs.append(scene.canonical())
+        return run_variant(scene, cells=cells, notify=notify)
+
+    monkeypatch.setattr(study_module, "run_variant", counted)
+    scene = loaded("noisy", duration=0.02)
+    EffectStudy(scene, 2, silent).rows(["sensor", "link_delay", "link_loss"])
+    # the scene and three without an effect, each under a finer solver once and twice as it is
+    assert sorted(Counter(runs).values()) == [1] * 4 + [2] * 4
+    assert runs.count(scene.canonical()) == 2
+
+
+@pytest.mark.slow
+def test_a_difference_that_is_gone_at_the_end_is_an_influence() -> None:
+    row = study(loaded("elliptic", duration=20.0)).row("contact_width")
+    assert row.influence is not None
+    assert row.influence.displacement_m == pytest.approx(1.42e-3, rel=0.01)
+    assert row.influence.at_s == pytest.approx(5.12, abs=0.02)
+    assert row.influence.end_m is not None
+    assert row.influence.end_m < 1e-4
 
 
 def test_a_plant_that_refuses_one_side_is_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(scene: Scene, *, cells: bool) -> Any:
+    def refused(scene: Scene, *, cells: bool, notify: object) -> Any:
         raise InputError("parcels[0] doesn't stand")
 
-    monkeypatch.setattr(study_module, "run_headless", refused)
+    monkeypatch.setattr(study_module, "run_variant", refused)
     row = study(loaded("elliptic")).row("motors")
-    assert (row.influence, row.cost_ratio, row.reason) == (None, None, "parcels[0] doesn't stand")
+    assert (row.influence, row.cost, row.reason) == (None, None, "parcels[0] doesn't stand")
 
 
 def test_a_run_that_ends_early_is_a_reason_and_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stopped(scene: Scene, *, cells: bool) -> Any:
-        result = run_headless(scene, cells=cells)
-        return (
-            replace(result, status="unstable", reason="it blew up")
-            if scene.effects.parcel_contact
-            else result
-        )
+    def stopped(scene: Scene, *, cells: bool, notify: Any) -> TracedRun:
+        run = run_variant(scene, cells=cells, notify=notify)
+        if scene.effects.parcel_contact:
+            run.result.end("unstable", "it blew up")
+        return run
 
-    monkeypatch.setattr(study_module, "run_headless", stopped)
+    monkeypatch.setattr(study_module, "run_variant", stopped)
     row = study(loaded("elliptic", duration=0.05)).row("parcel_contact")
-    assert (row.influence, row.error, row.cost_ratio) == (None, None, None)
+    assert (row.influence, row.error, row.cost) == (None, None, None)
     assert row.reason == "with it: it blew up"
+
+
+def test_a_compilation_is_announced_once_and_a_loaded_kernel_is_not() -> None:
+    import numba
+
+    told: list[str] = []
+    with compilation_announced(told.append):
+        doubled = numba.njit(lambda value: value + value)
+        assert told == []
+        assert (doubled(1), doubled(1.0), doubled(2)) == (2, 2.0, 4)
+    assert [line.partition(" (")[0] for line in told] == ["compiling kernels"]
+    with compilation_announced(told.append):
+        doubled(3)
+    assert len(told) == 1
+
+
+def test_a_program_that_fails_is_a_reason(tmp_path: Path) -> None:
+    program = tmp_path / "failing.py"
+    program.write_text(
+        "from mdms import CellFirmware, CellOutputs\n\n\n"
+        "class Failing(CellFirmware):\n"
+        "    def init(self, cell):\n        return 0\n\n"
+        "    def step(self, state, inputs):\n"
+        "        return state + 1 + 0 // (5 - state), CellOutputs((0.1, 0.0), {})\n"
+    )
+    scene = loaded("elliptic", f"cells.firmware={program}", "cells.parameters={}", duration=0.1)
+    row = study(scene).row("sensor")
+    assert row.influence is None
+    assert row.reason.startswith("with it: ")
+    assert "ZeroDivisionError" in row.reason

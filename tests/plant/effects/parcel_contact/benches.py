@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 FREE = 1e-12
 """A viscous coefficient that doesn't slow anything within a test."""
 BOX = 0.25
+CONTACTS = ("contact", "apart", "contact_residual", "parted")
 
 
 def box(x: float, y: float, angle: float = 0.0, **values: object) -> ParcelSpec:
@@ -54,7 +55,7 @@ def ticks(plant: Plant, drives: Floats, count: int) -> Iterator[list[Event]]:
     """Events of contact of each tick."""
     for _ in range(count):
         _, events = plant.advance(drives, plant.time_ns + TICK_NS)
-        yield [event for event in events if event.kind in ("contact", "apart")]
+        yield [event for event in events if event.kind in CONTACTS]
 
 
 def run(plant: Plant, drives: Floats, seconds: float) -> list[Event]:

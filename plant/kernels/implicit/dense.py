@@ -1,0 +1,141 @@
+"""The motion all along a step that was taken, as the series that events are searched in.
+
+Velocity is the cubic of Hermite through both ends of the step with their accelerations, plus the quartic that makes its
+integral the displacement: together the quintic of Hermite for the position. A velocity that stays the same to the bit,
+as that of a parcel that sticks does, is read from it to the bit. All series are in unit time.
+"""
+
+from __future__ import annotations
+
+from plant.kernels.common import implicit_layout as im
+from plant.kernels.common import layout as at
+from plant.kernels.common.jit import kernel
+from plant.kernels.common.springs import plane_at
+from plant.kernels.implicit.extrapolation import INSTANT, euler
+from plant.kernels.implicit.step import EPSILON, grasp, pull, unlimited
+from plant.kernels.implicit.supports import carry_supports, decay
+
+DEGREE = 5
+"""Of a position."""
+ROUNDING = 32.0
+"""A displacement is wrong by so many roundings of the places at its ends: the weights of the extrapolation add up."""
+SMALLEST = 1e-17
+"""Terms of sine and cosine below this, in metres at the footprint, are left out, ..."""
+SMALLEST_DECAY = 1e-16
+"""... and terms of the motors' transient below this share."""
+
+
+@kernel
+def accelerate(surface, parcel, work, now, acceleration):
+    """Acceleration where the parcel is, at ``now``, with the supports of the step, into ``acceleration[:3]``.
+
+    By a step of an instant where a force has no formula: at no slip, or on a wheel that gives way.
+    """
+    y, w, arm, law = parcel.y, work.velocity, work.pace[im.GYRATION], work.law
+    carry_supports(parcel, work)
+    if law[im.SET_VALUED] != 0.0 or law[im.WHEEL] != 0.0:
+        for k in range(6):
+            work.state[k] = y[k]
+        euler(surface, parcel, work, now + INSTANT, INSTANT)
+        for k in range(3):
+            acceleration[k] = (y[at.UX + k] - work.state[at.UX + k]) / INSTANT
+        for k in range(6):
+            y[k] = work.state[k]
+        carry_supports(parcel, work)
+        return
+    w[0], w[1], w[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
+    count = grasp(surface, parcel, work, law, decay(parcel.par, now), at.NOTHING)
+    along_x = along_y = turn = 0.0
+    for i in range(count):
+        row = work.wheels[i]
+        fx, fy, _, _, _ = pull(row, w, law[im.ISOTROPIC])
+        gx, gy = unlimited(row, w)
+        fx, fy = fx + gx, fy + gy
+        along_x += fx
+        along_y += fy
+        turn += row[im.AX] * fx + row[im.AY] * fy
+    acceleration[0], acceleration[1], acceleration[2] = along_x, along_y, turn / arm
+
+
+@kernel
+def hermite(position, velocity, ends, accelerations, h):
+    """Series of one coordinate and of its velocity; ``ends`` is (q0, u0, q1, u1), ``accelerations`` (a0, a1)."""
+    q0, u0, q1, u1 = ends
+    a0, a1 = h * accelerations[0], h * accelerations[1]
+    change = u1 - u0
+    velocity[0], velocity[1] = u0, a0
+    velocity[2], velocity[3] = 3.0 * change - 2.0 * a0 - a1, a0 + a1 - 2.0 * change
+    missing = (q1 - q0) - h * (u0 + 0.5 * change + (a0 - a1) / 12.0)
+    if abs(missing) <= ROUNDING * EPSILON * (abs(q0) + abs(q1) + h * abs(u0)):
+        missing = 0.0
+    bump = 30.0 * missing / h
+    velocity[2] += bump
+    velocity[3] -= 2.0 * bump
+    velocity[4] = bump
+    position[0] = 0.0
+    for k in range(DEGREE):
+        position[k + 1] = h * velocity[k] / (k + 1)
+
+
+@kernel
+def turn_terms(ser, k):
+    """Coefficient k + 1 of cosine and sine, from the angle's."""
+    cosine, sine = 0.0, 0.0
+    for j in range(max(0, k + 1 - DEGREE), k + 1):
+        turn = (k + 1 - j) * ser[at.S_TH, k + 1 - j]
+        cosine -= ser[at.S_S, j] * turn
+        sine += ser[at.S_C, j] * turn
+    ser[at.S_C, k + 1], ser[at.S_S, k + 1] = cosine / (k + 1), sine / (k + 1)
+
+
+@kernel
+def place_terms(ser, k):
+    """Coefficient k of the displacement in the parcel's axes, from displacement, cosine and sine."""
+    cx = sy = cy = sx = 0.0
+    for j in range(1, min(k, DEGREE) + 1):
+        x, y, c, s = ser[at.S_X, j], ser[at.S_Y, j], ser[at.S_C, k - j], ser[at.S_S, k - j]
+        cx += c * x
+        sy += s * y
+        cy += c * y
+        sx += s * x
+    ser[at.S_E1, k], ser[at.S_E2, k] = cx + sy, cy - sx
+
+
+@kernel
+def expand(surface, parcel, work, now, h, c, s):
+    """Series of the step of ``h`` from ``parcel.y`` at ``now`` to ``work.end``, into ``work.ser``. Returns their order.
+
+    ``work.begun`` and ``work.ended`` are the accelerations at its ends, ``c`` and ``s`` cosine and sine at its begin.
+    """
+    y, end, ser, seg, par = parcel.y, work.end, work.ser, work.seg, parcel.par
+    for k in range(3):
+        velocities = y[at.UX + k], end[at.UX + k]
+        ends = y[k], velocities[0], end[k], velocities[1]
+        hermite(ser[at.S_X + k], ser[at.S_UX + k], ends, (work.begun[k], work.ended[k]), h)
+    ser[at.S_C, 0], ser[at.S_S, 0] = c, s
+    e, fade = decay(par, now), par[at.RATE] * h
+    ser[at.S_EXP, 0] = e
+    order = at.MAX_ORDER
+    for k in range(at.MAX_ORDER):
+        if k >= DEGREE:
+            for row in range(3):
+                ser[at.S_X + row, k + 1] = ser[at.S_UX + row, k] = 0.0
+        turn_terms(ser, k)
+        ser[at.S_EXP, k + 1] = -fade * ser[at.S_EXP, k] / (k + 1)
+        size = par[at.RADIUS] * (abs(ser[at.S_C, k + 1]) + abs(ser[at.S_S, k + 1]))
+        if k >= DEGREE and size <= SMALLEST and abs(ser[at.S_EXP, k + 1]) <= SMALLEST_DECAY:
+            order = k + 1
+            break
+    for row in range(3):
+        ser[at.S_UX + row, order] = 0.0
+    for k in range(order + 1):
+        place_terms(ser, k)
+    a0, bx, by = plane_at(surface, seg, -seg[at.CX], -seg[at.CY])
+    o = at.MODES_AT
+    for k in range(order + 1):
+        x, y_k = ser[at.S_X, k], ser[at.S_Y, k]
+        ser[o + at.M_A0, k] = 0.0
+        ser[o + at.M_BX, k] = seg[at.PXX] * x + seg[at.PXY] * y_k
+        ser[o + at.M_BY, k] = seg[at.PXY] * x + seg[at.PYY] * y_k
+    ser[o + at.M_A0, 0], ser[o + at.M_BX, 0], ser[o + at.M_BY, 0] = a0, bx, by
+    return order

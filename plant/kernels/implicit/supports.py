@@ -1,0 +1,73 @@
+"""Supports of one parcel where it is: found afresh, or those of a step's begin carried to another pose of the step."""
+
+from __future__ import annotations
+
+from math import cos, exp, sin
+
+from plant.kernels.common import layout as at
+from plant.kernels.common.footprint import box, inside
+from plant.kernels.common.jit import kernel
+from plant.kernels.common.loads import settle
+from plant.kernels.common.springs import reach, touches, unshift
+
+FARTHEST = 1e9
+"""A parcel this many pitches away has no cells under it."""
+
+
+@kernel
+def find_loads(surface, parcel, work):
+    """Which cells lie under the parcel where it is, and which of them carry load. Returns the status."""
+    y, par, mem, grid = parcel.y, parcel.par, parcel.mem, surface.grid
+    count, slack = at.ZERO, par[at.ON_SURFACE] + reach(surface)
+    away = max(abs(y[0] - par[at.ORIGIN_X]), abs(y[1] - par[at.ORIGIN_Y]))
+    if away < FARTHEST * par[at.PITCH]:
+        c, s = cos(y[at.THETA]), sin(y[at.THETA])
+        first_row, last_row, first_column, last_column = box(parcel.vertices, y, par, grid, slack)
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                cell = grid[row, column]
+                if cell >= 0 and inside(
+                    surface.pos[cell, 0], surface.pos[cell, 1], parcel.normal, parcel.offset, y, c, s, slack
+                ):
+                    mem[count, at.CELL], mem[count, at.MARK] = cell, at.ACTIVE
+                    if touches(surface, parcel, count, c, s):
+                        count += 1
+    parcel.ctl[at.N_MEMBERS] = count
+    status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    if status == at.TIPPED and unshift(surface):
+        # the traction that shifted the loads may be gone
+        status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    return status
+
+
+@kernel
+def decay(par, time):
+    """Compute the decay factor of the motors' transient after ``time``; 0 without motors."""
+    return exp(-par[at.RATE] * time) if par[at.RATE] > 0.0 else 0.0
+
+
+@kernel
+def corner_speed(parcel):
+    """Speed that no corner exceeds, m/s."""
+    y = parcel.y
+    along = y[at.UX] * y[at.UX] + y[at.UY] * y[at.UY]
+    return along**0.5 + parcel.par[at.RADIUS] * abs(y[at.OMEGA])
+
+
+@kernel
+def note_centroid(work):
+    """Keep where the centroid of the supports is from the parcel at the begin of a step."""
+    work.centroid[0], work.centroid[1] = work.seg[at.CX], work.seg[at.CY]
+
+
+@kernel
+def carry_supports(parcel, work):
+    """Have the supports of the step's begin, at ``work.begin``, for those where the parcel is."""
+    work.seg[at.CX] = work.centroid[0] + (work.begin[0] - parcel.y[0])
+    work.seg[at.CY] = work.centroid[1] + (work.begin[1] - parcel.y[1])
+
+
+@kernel
+def longest(par, now, left):
+    """How long a step may be: no longer than the motors' transient, as long as it lasts, since it could pass unseen."""
+    return min(left, max(1.0 / par[at.RATE], now)) if par[at.RATE] > 0.0 else left
