@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, cast
 
 from plant.array import CellArray
 from plant.effects.registry import PlantEffects
+from plant.effects.uneven_friction import friction_factors
+from plant.friction.law import Traction
 from plant.observations import ParcelStatus
 from plant.overlap import OverlapDetector
 from plant.solver_api import Rewindable, SegmentingSolver, Solver
@@ -89,14 +91,29 @@ def make_mover(spec: PlantSpec, solver: Solver) -> ContactMover | None:
         return None
     from plant.effects.parcel_contact.mover import ContactMover
 
+    rollers = spec.effects.roller_drag
     # the spec lets only solvers be chosen that can go back
     return ContactMover(
         spec.with_fed().parcels,
-        spec.friction.traction(),
+        _strongest(spec),
         spec.gravity_m_s2,
+        0.0 if rollers is None else rollers.drag_s_per_m,
         spec.array.pitch_m,
         contact,
         cast("Rewindable", solver),
+    )
+
+
+def _strongest(spec: PlantSpec) -> Traction:
+    """The scene's law, as strong as the wheel of the most friction has it."""
+    traction, uneven = spec.friction.traction(), spec.effects.uneven_friction
+    if uneven is None:
+        return traction
+    most = float(friction_factors(uneven, spec.array.lattice(), spec.seed).max())
+    return traction._replace(
+        stiffness_per_load=most * traction.stiffness_per_load,
+        limit_per_load=most * traction.limit_per_load,
+        push_per_load=most * traction.push_per_load,
     )
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, field_validator, model_validator
 
 from bus.lattice import Lattice
-from bus.spec import CellName, Finite, Positive, Spec, Vector
+from bus.spec import CellName, Finite, NotNegative, Positive, Spec, Vector
 from plant.geometry import PolygonError, check_convex, polar_moment_per_mass, rectangle
 
 
@@ -51,6 +51,9 @@ class ParcelSpec(PolygonSpec):
     """Moment of inertia about the centre of mass; default: of a uniform plate about its centroid."""
     centre_of_mass_m: Vector | None = None
     """Centre of mass in the parcel's frame; default: the centroid."""
+    centre_of_mass_height_m: NotNegative | None = None
+    """Height of the centre of mass above the underside, which only ``effects.load_transfer`` uses; default: that of the
+    effect."""
     position_m: Vector
     angle_rad: Finite = 0.0
     velocity_m_s: Vector = (0.0, 0.0)

@@ -37,6 +37,21 @@ def disagreements(
     if solver is not None and solver.laws is not None and friction.law not in solver.laws:
         rule = f"solves law {', '.join(solver.laws)}, not {friction.law}; use implicit"
         yield ("solver", "name"), solver.name, rule
+    if effects is not None and effects.load_transfer is not None and friction.traction().static_ratio != 1.0:
+        rule = "doesn't go with effects.load_transfer: loads that depend on who sticks need not balance"
+        yield ("friction", "static_coefficient"), "", rule
+    uneven = None if effects is None else effects.uneven_friction
+    if uneven is not None and not friction.by_load:
+        rule = "doesn't depend on the load, so effects.uneven_friction can't vary it; leave it out"
+        yield ("friction", "law"), friction.law, rule
+    if uneven is not None and uneven.parts_wheels and friction.traction().isotropic:
+        rule = (
+            "gives both wheels of a cell one limit: effects.uneven_friction may vary cells only, not wheels"
+        )
+        yield ("friction", "contact"), "isotropic", rule
+    if solver is not None and friction.solvers is not None and solver.name not in friction.solvers:
+        rule = f"leaves out friction.static_coefficient; use {' or '.join(friction.solvers)}"
+        yield ("solver", "name"), solver.name, rule
     if effects is not None and effects.motors is not None and friction.own_motors:
         rule = "has motors of its own; leave effects.motors out"
         yield ("friction", "law"), friction.law, rule

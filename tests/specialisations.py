@@ -26,6 +26,9 @@ PROCESSES = 2
 """Compilers side by side; more would crowd out each other's memory."""
 
 
+VISCOUS = {"law": "viscous", "coefficient_s_per_m": 0.2}
+
+
 @dataclass(frozen=True)
 class Specialisation:
     """A small run that calls entry points with the types of one combination of solver and effects.
@@ -35,6 +38,7 @@ class Specialisation:
         seconds: of processor time that compiling it took; the longest is begun first.
         solver: a scene's ``[solver]`` table.
         effects: a scene's ``[effects]`` table.
+        law: a scene's ``[friction]`` table.
         needed: mark of the tests that use it, without which it is not compiled; None: tests of any folder do.
         parcels: what differs from ``PARCEL``, for each.
         ticks: how far it runs, in `TICK_NS`.
@@ -46,6 +50,7 @@ class Specialisation:
     seconds: float
     solver: str
     effects: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    law: Mapping[str, Any] = field(default_factory=lambda: VISCOUS)
     needed: str | None = None
     parcels: Sequence[Mapping[str, Any]] = ({},)
     ticks: int = 1
@@ -61,7 +66,12 @@ TOUCHING = ({"position_m": (-0.1251, 0.0), "velocity_m_s": (0.5, 0.0)}, {"positi
 UNEVEN = {"uneven_supports": {"stiffness_n_per_m": 3e3, "height_spread_m": 1e-4}}
 WIDE = {"contact_width": {"width_m": 0.03}}
 ROLLERS = {"roller_impacts": {"spacing_m": 4e-3, "impulse_s": 8e-5}}
+UNEQUAL = {"uneven_friction": {"wheel_spread": 0.2}}
+TALL = {"load_transfer": {"centre_of_mass_height_m": 0.05}}
+DRAGGED = {"roller_drag": {"drag_s_per_m": 0.02}}
 LOADED = {"motors": {}, "wheel_load": {"inertia_kg": 0.05}}
+
+STATIC = {"law": "coulomb", "coefficient": 0.3, "static_coefficient": 0.45}
 
 SPECIALISATIONS = (
     Specialisation("exact", 25, "exact"),
@@ -79,11 +89,21 @@ SPECIALISATIONS = (
     Specialisation("implicit_uneven", 32, "implicit", UNEVEN, needed="slow"),
     Specialisation("implicit_wide", 32, "implicit", WIDE, needed="slow"),
     Specialisation("implicit_uneven_wide", 32, "implicit", UNEVEN | WIDE, needed="slow"),
+    Specialisation("implicit_stiction", 33, "implicit", law=STATIC, needed="slow"),
+    Specialisation("implicit_unequal", 32, "implicit", UNEQUAL, needed="slow"),
+    Specialisation("quasi_static_unequal", 5, "quasi_static", UNEQUAL, needed="slow"),
+    Specialisation("fixed_step_unequal", 4, "fixed_step", UNEQUAL, needed="slow"),
+    Specialisation("implicit_tall", 33, "implicit", TALL, needed="slow"),
+    Specialisation("fixed_step_tall", 4, "fixed_step", TALL, needed="slow"),
+    Specialisation("implicit_dragged", 32, "implicit", DRAGGED, needed="slow"),
+    Specialisation("implicit_loaded_dragged", 33, "implicit", LOADED | DRAGGED, needed="slow"),
     Specialisation("implicit_rollers", 32, "implicit", ROLLERS, needed="slow"),
     Specialisation("quasi_static_uneven", 5, "quasi_static", UNEVEN, needed="slow"),
     Specialisation("quasi_static_wide", 5, "quasi_static", WIDE, needed="slow"),
+    Specialisation("quasi_static_dragged", 5, "quasi_static", DRAGGED, needed="slow"),
     Specialisation("fixed_step_uneven", 4, "fixed_step", UNEVEN, needed="slow"),
     Specialisation("fixed_step_wide", 4, "fixed_step", WIDE, needed="slow"),
+    Specialisation("fixed_step_dragged", 4, "fixed_step", DRAGGED, needed="slow"),
 )
 """All of them. A new combination of a solver and effects that tests use is an entry here."""
 
@@ -114,7 +134,7 @@ def use(one: Specialisation) -> None:
             {
                 "array": {"rows": 4, "columns": 8, "pitch_m": 0.1},
                 "parcels": [PARCEL | dict(own) for own in one.parcels],
-                "friction": {"law": "viscous", "coefficient_s_per_m": 0.2},
+                "friction": one.law,
                 "solver": {"name": one.solver},
                 "effects": one.effects,
             }

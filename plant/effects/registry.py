@@ -9,10 +9,13 @@ from plant.effects.analogue_sensors.spec import AnalogueSensorsSpec
 from plant.effects.camera.spec import CameraSpec
 from plant.effects.contact_width import ContactWidthSpec
 from plant.effects.feeders.spec import FeedersSpec
+from plant.effects.load_transfer import LoadTransferSpec
 from plant.effects.motors import MotorsSpec
 from plant.effects.parcel_contact.spec import ParcelContactSpec
+from plant.effects.roller_drag import RollerDragSpec
 from plant.effects.roller_impacts import RollerImpactsSpec
 from plant.effects.scanners.spec import ScannersSpec
+from plant.effects.uneven_friction import UnevenFrictionSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
 from plant.effects.wheel_load import WheelLoadSpec
 
@@ -23,8 +26,11 @@ class PlantEffects(Effects):
     motors: MotorsSpec | None = None
     uneven_supports: UnevenSupportsSpec | None = None
     contact_width: ContactWidthSpec | None = None
+    uneven_friction: UnevenFrictionSpec | None = None
     roller_impacts: RollerImpactsSpec | None = None
     wheel_load: WheelLoadSpec | None = None
+    roller_drag: RollerDragSpec | None = None
+    load_transfer: LoadTransferSpec | None = None
     feeders: FeedersSpec | None = None
     parcel_contact: ParcelContactSpec | None = None
     analogue_sensors: AnalogueSensorsSpec | None = None

@@ -19,8 +19,8 @@ class Traction(NamedTuple):
         s = free_speed V                          m/s
         g = push_per_load N sign(V)               N
 
-    Its dissipation potential, of which that force is the gradient in r, is convex: a parabola up to ``|b r| = c``, a
-    straight line beyond.
+    and ``viscous r`` is added. Its dissipation potential, of which that force is the gradient in r, is convex: a
+    parabola up to ``|b r| = c``, a straight line beyond, plus the parabola of the viscous part.
 
     Attributes:
         stiffness: N s/m.
@@ -29,7 +29,9 @@ class Traction(NamedTuple):
         limit_per_load: dimensionless.
         free_speed: dimensionless: a wheel without load runs at this share of its surface speed.
         push_per_load: dimensionless.
+        viscous: N s/m; this part has no limit.
         set_valued: ``b`` is infinite; ``stiffness`` and ``stiffness_per_load`` are not read.
+        static_ratio: limit of a wheel that sticks over ``c``, which is that of one that slips; 1 where they are equal.
         isotropic: the two axes of a cell share one limit: ``b r`` is projected on a disc of radius c.
     """
 
@@ -39,7 +41,9 @@ class Traction(NamedTuple):
     limit_per_load: float = 0.0
     free_speed: float = 1.0
     push_per_load: float = 0.0
+    viscous: float = 0.0
     set_valued: bool = False
+    static_ratio: float = 1.0
     isotropic: bool = False
 
 
@@ -53,6 +57,17 @@ class FrictionLaw(Spec):
     @abstractmethod
     def traction(self) -> Traction:
         """The law's coefficients."""
+
+    @property
+    def solvers(self) -> tuple[str, ...] | None:
+        """Names of the solvers that know these parameters of the law; None: all that solve the law."""
+        return None
+
+    @property
+    def by_load(self) -> bool:
+        """Whether the traction, or the limit of the traction, is in proportion to the load."""
+        traction = self.traction()
+        return any((traction.stiffness_per_load, traction.limit_per_load, traction.push_per_load))
 
     @property
     def own_motors(self) -> bool:

@@ -24,7 +24,15 @@ from plant.solver_specs import ImplicitSpec, QuasiStaticSpec
 from plant.solvers.compiled import AdvanceArgs, ThreadedSolver, ThreadWorkspace
 from plant.solvers.exact import make_workspace as make_event_workspace
 from plant.solvers.exact import set_law
-from plant.solvers.springs import make_edges, make_rollers, make_springs
+from plant.solvers.springs import (
+    make_drag,
+    make_edges,
+    make_factors,
+    make_rollers,
+    make_springs,
+    make_stiction,
+    make_transfer,
+)
 from plant.solvers.wheel_load import WheelLoadSum, WheelLoadWorkspace, load_wheels, make_slowing
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -121,6 +129,7 @@ def coefficients(traction: Traction, mass_kg: float, gravity_m_s2: float) -> Flo
     law[implicit_layout.LIMIT_PER_SHARE] = traction.limit_per_load * gravity_m_s2
     law[implicit_layout.FREE_SPEED] = traction.free_speed
     law[implicit_layout.PUSH_PER_SHARE] = traction.push_per_load * gravity_m_s2
+    law[implicit_layout.VISCOUS] = traction.viscous / mass_kg
     law[implicit_layout.SET_VALUED] = float(traction.set_valued)
     law[implicit_layout.ISOTROPIC] = float(traction.isotropic)
     return law
@@ -153,17 +162,23 @@ def locate(
 ) -> None:
     """Have one parcel's events located.
 
-    Those of its wheels as well, where their forces are linear on each branch of the law and wheels run as motors drive
-    them.
+    Those of its wheels as well, where their forces are linear on each branch of a law that all wheels share, and wheels
+    run as motors drive them.
     """
+    effects = scene.effects
     pace[implicit_layout.LOCATES] = 1.0
     parcel.par[layout.TOLERANCE] = spec.tolerance
     parcel.par[layout.CAPTURE] = spec.capture_m
     parcel.par[layout.LIMIT] = math.inf
-    if not traction.set_valued and scene.effects.wheel_load is None:
-        set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
-        law[implicit_layout.LOCATED] = float(parcel.par[layout.LIMIT] < math.inf)
-        law[implicit_layout.CAPTURES] = float(scene.effects.uneven_supports is None)
+    if traction.set_valued or effects.wheel_load is not None:
+        return
+    set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
+    # what the kernels of ``exact`` don't know of: where wheels change branch, and the motion along a surface
+    known = effects.uneven_friction is None and effects.roller_drag is None and traction.viscous == 0.0
+    if not known:
+        parcel.par[layout.LIMIT] = math.inf
+    law[implicit_layout.LOCATED] = float(parcel.par[layout.LIMIT] < math.inf)
+    law[implicit_layout.CAPTURES] = float(known and effects.uneven_supports is None)
 
 
 @final
@@ -178,7 +193,20 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
     """
 
     state_fields: ClassVar[StateFields] = StateFields(
-        shared=("_paces", "_rollers.passed", "_springs.moments", "_edges.share")
+        shared=(
+            "_paces",
+            "_rollers.passed",
+            "_stiction.grips",
+            "_stiction.counts",
+            "_stiction.begun",
+            "_stiction.found",
+            "_stiction.limits",
+            "_stiction.caught",
+            "_springs.moments",
+            "_edges.share",
+            "_transfer.shift",
+            "_transfer.memory",
+        )
     )
 
     def __init__(self, scene: PlantSpec, spec: ImplicitSpec, array: CellArray, rate: float) -> None:
@@ -193,6 +221,10 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
         self._springs = make_springs(scene, array)
         self._edges = make_edges(scene, self.capacity)
         self._rollers = make_rollers(scene, array)
+        self._drag = make_drag(scene)
+        self._transfer = make_transfer(scene)
+        self._factors = make_factors(scene, array)
+        self._stiction = make_stiction(scene, self.capacity)
         self._loaded = scene.effects.wheel_load is not None
         self._handed = WheelLoadSum()
         self._laws: Floats = np.zeros((len(masses), implicit_layout.LAW_SIZE))
@@ -201,7 +233,8 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
             self._laws[i] = coefficients(traction, mass_kg, scene.gravity_m_s2)
             load_wheels(scene, self._laws[i], mass_kg)
             self._paces[i] = first_pace(parcel, spec)
-            if spec.step_s is None and self._edges is None:
+            # loads that traction shifts change all along a step, not where the parcel moves alone
+            if spec.step_s is None and self._edges is None and self._transfer is None:
                 locate(self._laws[i], self._paces[i], parcel, traction, mass_kg, scene, spec)
 
     def _make_workspace(self) -> ImplicitWorkspace:
@@ -217,13 +250,22 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
 
     def _memory(self) -> Sequence[NDArray[Any]]:
         passed = () if self._rollers is None else (self._rollers.passed,)
-        return *super()._memory(), self._paces, *passed
+        grips = () if self._stiction is None else (self._stiction.grips, self._stiction.counts)
+        return *super()._memory(), self._paces, *passed, *grips
 
     def _advance_block(
         self, workspace: ThreadWorkspace[ImplicitWorkspace], block: NDArray[np.int64], errand: AdvanceArgs
     ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
-        surface = surface._replace(springs=self._springs, edges=self._edges, rollers=self._rollers)
+        surface = surface._replace(
+            springs=self._springs,
+            edges=self._edges,
+            rollers=self._rollers,
+            drag=self._drag,
+            stiction=self._stiction,
+            factors=self._factors,
+            transfer=self._transfer,
+        )
         laws, paces = self._laws, self._paces
         done = self._entry.advance_block(
             surface,

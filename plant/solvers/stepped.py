@@ -12,7 +12,7 @@ from plant.array import CellArray
 from plant.kernels.common import implicit_layout, layout
 from plant.solvers.compiled import AdvanceArgs, ThreadedSolver, ThreadWorkspace
 from plant.solvers.implicit import FIRST_STEP_S, UNBOUNDED, coefficients
-from plant.solvers.springs import make_edges, make_springs
+from plant.solvers.springs import make_drag, make_edges, make_factors, make_springs, make_transfer
 from plant.specs import PlantSpec
 from plant.wheels import Floats
 
@@ -32,7 +32,9 @@ class SteppedSolver(ThreadedSolver[Workspace]):
         steps_per_s: that a parcel may take in a simulated second.
     """
 
-    state_fields: ClassVar[StateFields] = StateFields(shared=("_paces", "_springs.moments", "_edges.share"))
+    state_fields: ClassVar[StateFields] = StateFields(
+        shared=("_paces", "_springs.moments", "_edges.share", "_transfer.shift", "_transfer.memory")
+    )
 
     def __init__(
         self,
@@ -49,6 +51,9 @@ class SteppedSolver(ThreadedSolver[Workspace]):
         self._entry: Any = entry
         self._springs = make_springs(scene, array)
         self._edges = make_edges(scene, self.capacity)
+        self._drag = make_drag(scene)
+        self._transfer = make_transfer(scene)
+        self._factors = make_factors(scene, array)
         traction = scene.friction.traction()
         self._laws: Floats = np.zeros((len(scene.parcels), implicit_layout.LAW_SIZE))
         self._paces: Floats = np.zeros((len(scene.parcels), implicit_layout.PACE_SIZE))
@@ -64,7 +69,13 @@ class SteppedSolver(ThreadedSolver[Workspace]):
         self, workspace: ThreadWorkspace[Workspace], block: NDArray[np.int64], errand: AdvanceArgs
     ) -> tuple[int, int]:
         surface, span_s, times_s, out = errand
-        surface = surface._replace(springs=self._springs, edges=self._edges)
+        surface = surface._replace(
+            springs=self._springs,
+            edges=self._edges,
+            drag=self._drag,
+            factors=self._factors,
+            transfer=self._transfer,
+        )
         laws, paces = self._laws, self._paces
         return self._entry.advance_block(
             surface,

@@ -19,13 +19,22 @@ FREE = 2.0 * 10.0 / 4.0 / B
 VISCOUS = Viscous(coefficient_s_per_m=0.2)
 COULOMB = Coulomb(law="coulomb", coefficient=MU)
 CONE = Coulomb(law="coulomb", coefficient=MU, contact="isotropic")
+DAMPED = Coulomb(law="coulomb", coefficient=MU, viscous_n_s_per_m=0.7)
+"""Coulomb with viscous friction."""
+DAMPED_CONE = Coulomb(law="coulomb", coefficient=MU, contact="isotropic", viscous_n_s_per_m=0.7)
 SLIDING = CoulombSliding(law="coulomb_sliding", coefficient=MU)
 ROLLING = Rolling(law="rolling", **MOTORS)
 STICK_SLIP = StickSlip(law="stick_slip", coefficient=MU, **MOTORS)
+STATIC = Coulomb(law="coulomb", coefficient=MU, static_coefficient=0.45)
+STATIC_CONE = Coulomb(law="coulomb", coefficient=MU, static_coefficient=0.45, contact="isotropic")
+STATIC_LAWS: dict[str, FrictionSpec] = {"static": STATIC, "static_cone": STATIC_CONE}
+"""Laws that have kernels of their own."""
 LAWS: dict[str, FrictionSpec] = {
     "viscous": VISCOUS,
     "coulomb": COULOMB,
     "cone": CONE,
+    "damped": DAMPED,
+    "damped_cone": DAMPED_CONE,
     "sliding": SLIDING,
     "rolling": ROLLING,
     "stick_slip": STICK_SLIP,

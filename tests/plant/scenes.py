@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,12 +115,20 @@ def cells_of(plant: Plant, cells: Sequence[tuple[int, int]]) -> list[int]:
 
 
 def solved(
-    solver: dict[str, object], *parcels: ParcelSpec, law: FrictionSpec | None = None, **values: object
+    solver: dict[str, object],
+    *parcels: ParcelSpec,
+    law: FrictionSpec | None = None,
+    effects: Mapping[str, object] | None = None,
+    **values: object,
 ) -> Plant:
-    """A plant of `spec` with a scene's ``[solver]`` table, and under another law where one is given."""
-    base = spec(*(parcels or (parcel(),)), **values)  # type: ignore[arg-type]
-    friction = base.friction if law is None else law
-    return Plant(PlantSpec.model_validate(dict(base) | {"friction": friction, "solver": solver}))
+    """A plant of `spec` with a scene's ``[solver]`` table, and another law or ``[effects]`` where they are given."""
+    base = dict(spec(*(parcels or (parcel(),)), **values))  # type: ignore[arg-type]
+    base["solver"] = solver
+    if law is not None:
+        base["friction"] = law
+    if effects is not None:
+        base["effects"] = dict(effects)
+    return Plant(PlantSpec.model_validate(base))
 
 
 def lawful(

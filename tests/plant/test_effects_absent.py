@@ -13,7 +13,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-EFFECTS = ("loaded_wheels", "roller_impacts", "uneven_springs", "wheel_edges")
+EFFECTS = (
+    "load_transfer",
+    "loaded_wheels",
+    "roller_drag",
+    "roller_impacts",
+    "stiction",
+    "uneven_friction",
+    "uneven_springs",
+    "wheel_edges",
+)
 """The kernel modules that belong to effects."""
 
 SOLVERS = {

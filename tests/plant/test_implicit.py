@@ -162,6 +162,7 @@ class Problem:
         self.b = (traction.stiffness + traction.stiffness_per_load * load)[:, None]
         self.c = (traction.limit + traction.limit_per_load * load)[:, None]
         self.push = (traction.push_per_load * load)[:, None] * np.sign(wheels[cells])
+        self.viscous = traction.viscous
         self.set_valued, self.isotropic = traction.set_valued, traction.isotropic
         self.mass = np.array([2.0, 2.0, 2.0 * (0.54**2 + 0.32**2) / 12.0])
 
@@ -171,7 +172,7 @@ class Problem:
 
     def force(self, r: Floats) -> Floats:
         """Of laws with one force for each slip."""
-        return np.clip(self.b * r, -self.c, self.c) + self.push
+        return np.clip(self.b * r, -self.c, self.c) + self.push + self.viscous * r
 
     def gathered(self, f: Floats) -> Floats:
         """Force and torque of the forces ``(n, 2)``."""
@@ -191,6 +192,7 @@ class Problem:
         else:
             bent = np.minimum(size, self.c / np.maximum(self.b, 1e-300))
             phi = 0.5 * self.b * bent**2 + np.where(np.isfinite(self.c), self.c, 0.0) * (size - bent)
+        phi = phi + 0.5 * self.viscous * size**2
         step = u - self.start[3:]
         return 0.5 * float(self.mass @ step**2) + h * float(np.sum(phi) + np.sum(self.push * r))
 
@@ -264,7 +266,7 @@ def test_a_step_ends_at_the_minimum_of_its_problem(
         spread = 1e-12 * problem.c + 1e-15
         found = lsq_linear(
             problem.rows(),
-            needed,
+            needed - problem.gathered(problem.viscous * slip),
             ((low - spread).ravel(), (high + spread).ravel()),
             tol=1e-15,
             method="bvls",

@@ -11,11 +11,24 @@ from scipy.integrate import solve_ivp
 from plant.analysis.constants import constants_of_motion
 from plant.effects.motors import MotorsSpec
 from plant.errors import PlantError
+from plant.friction.coulomb import Coulomb
 from plant.friction.registry import FrictionSpec
 from plant.friction.stick_slip import StickSlip
 from plant.plant import Plant
 from plant.specs import PlantSpec
-from tests.plant.laws import CONE, COULOMB, LAWS, MOTORS, MU, ROLLING, SLIDING, STICK_SLIP, B
+from tests.plant.laws import (
+    CONE,
+    COULOMB,
+    DAMPED,
+    DAMPED_CONE,
+    LAWS,
+    MOTORS,
+    MU,
+    ROLLING,
+    SLIDING,
+    STICK_SLIP,
+    B,
+)
 from tests.plant.scenes import SECOND, Floats, G, lawful, loads, parcel, spec
 
 SMALL = parcel(position_m=(0.0, 0.0), angle_rad=0.0)
@@ -109,6 +122,59 @@ def test_coulomb_alone_a_ring_slides_and_spins_to_one_end_at_the_ratio_one() -> 
     assert np.all(np.diff(fast[::5]) < 0.0)
     assert 0.9 < slow[-1] < 1.01
     assert 0.99 < fast[-1] < 1.1
+
+
+@pytest.mark.parametrize("steps", [{"step_s": 1e-3}, {"step_s": 1e-5}, {"tolerance": 1e-6}])
+def test_a_parcel_sticks_to_wheels_that_start_to_turn_in_steps_however_short(steps: dict[str, float]) -> None:
+    """Their speeds begin as differences of large numbers: what rounding leaves of the slip must not count as slip."""
+    body = parcel(size_m=(2.0, 2.0), position_m=(0.0, 0.0), angle_rad=0.0)
+    motors = MotorsSpec(time_constant_s=0.1, speed_per_volt_m_s=0.1, supply_v=1e6)
+    plant = lawful(COULOMB, body, motors=motors, rows=9, columns=9, **steps)
+    cells = plant.array.positions_m
+    plant.advance(0.5 * np.stack([-cells[:, 1], cells[:, 0]], axis=1), SECOND // 10_000)
+    assert plant.state[0, 5] == pytest.approx(0.05 * -np.expm1(-1e-3), rel=1e-11)
+    assert plant._solver.effort <= 10
+
+
+# --- Coulomb with viscous friction -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", [DAMPED, DAMPED_CONE], ids=["independent wheels", "cone"])
+def test_with_viscous_friction_a_parcel_stops_at_the_known_time_and_place(law: Coulomb) -> None:
+    """``m dU/dt = -mu m g - n b U``: it stops after ``log(1 + n b U0 / (mu m g)) / (n b / m)``."""
+    first = 0.8
+    body = parcel(size_m=(2.0, 2.0), position_m=(0.0, 0.0), angle_rad=0.0, velocity_m_s=(first, 0.0))
+    plant = lawful(law, body, tolerance=1e-10, rows=5, columns=5)
+    rate, still = 25 * law.viscous_n_s_per_m / body.mass_kg, drive(plant, 0.0)
+    stop_s = np.log1p(rate * first / (MU * G)) / rate
+    plant.advance(still, round(0.5 * stop_s * SECOND))
+    speed = (first + MU * G / rate) * np.exp(-0.5 * rate * stop_s) - MU * G / rate
+    assert plant.state[0, 3] == pytest.approx(speed, abs=1e-9)
+    plant.advance(still, round((stop_s + 1e-3) * SECOND))
+    assert plant.state[0, 0] == pytest.approx((first - MU * G * stop_s) / rate, abs=1e-9)
+    assert plant.state[0, 3:].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_viscous_friction_pulls_whatever_the_load_and_beyond_the_limit() -> None:
+    """Wheels that run away from a parcel pull it by ``mu m g + sum b (V - U)``: SciPy has the same."""
+    body = parcel(size_m=(2.0, 2.0), position_m=(0.03, -0.02), angle_rad=0.0)
+    plant = lawful(DAMPED, body, tolerance=1e-9, rows=5, columns=5)
+    cells, mass = plant.array.positions_m, body.mass_kg
+    wheels = np.stack([2.0 + cells[:, 1], 1.5 - cells[:, 0]], axis=1)
+    squares = np.sum(cells * cells, axis=0)
+
+    def rates(_: float, y: Floats) -> list[float]:
+        load = mass * G * (1.0 / 25.0 + cells @ (y[:2] / squares))
+        arm = cells - y[:2]
+        slip = wheels - (y[3:5] + y[5] * np.stack([-arm[:, 1], arm[:, 0]], axis=1))
+        force = MU * load[:, None] * np.sign(slip) + DAMPED.viscous_n_s_per_m * slip
+        torque = float(np.sum(arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0]))
+        return [*y[3:], *(force.sum(axis=0) / mass), torque / body.moment_of_inertia_kg_m2()]
+
+    known = solve_ivp(rates, (0.0, 0.05), plant.state[0], method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    plant.advance(wheels, SECOND // 20)
+    assert plant.state[0] == pytest.approx(known, abs=1e-9)
+    assert abs(known[5]) > 0.01
 
 
 # --- full sliding (eq. 24) ----------------------------------------------------------------------------------------

@@ -10,17 +10,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from importlib.util import find_spec
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import pytest
 from pydantic import TypeAdapter
 
+from bus.effect import EffectSpec
+from plant.effects.registry import PlantEffects
 from plant.friction.registry import FrictionSpec
 from plant.kernels.common import layout
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
 from plant.solver_specs import SolverSpec
-from tests.plant.laws import LAWS, VISCOUS
+from tests.plant.laws import LAWS, STATIC_LAWS, VISCOUS
 from tests.plant.scenes import solved
 
 LEVER_M = 0.1
@@ -76,7 +78,14 @@ class Solver:
     def solves(self, law: FrictionSpec) -> bool:
         """Whether it takes scenes with this law."""
         laws = SPEC.validate_python(self.settings).laws
-        return laws is None or law.law in laws
+        own = law.solvers is None or self.settings["name"] in law.solvers
+        return own and (laws is None or law.law in laws)
+
+    def simulates(self, effect: str) -> bool:
+        """Whether it takes scenes with this effect."""
+        annotation = PlantEffects.model_fields[effect].annotation
+        (kind,) = (one for one in get_args(annotation) if issubclass(one, EffectSpec))
+        return kind.solvers is None or self.settings["name"] in kind.solvers
 
     def within(self, rounding: float, span_s: float = 1.0) -> float:
         """By how much an entry of the state may be off after ``span_s``; ``rounding`` is the least there can be."""
@@ -229,11 +238,13 @@ def _params(names: list[str], *more: Any) -> list[Any]:
     return found
 
 
-def claiming(*needed: Claim, laws: list[str] | None = None) -> Callable[[Case], Case]:
-    """Run a hard case with every solver that claims what it needs.
+def claiming(
+    *needed: Claim, laws: list[str] | None = None, effect: str | None = None
+) -> Callable[[Case], Case]:
+    """Run a hard case with every solver that claims what it needs, and knows an effect where one is named.
 
     The test gets it as ``solver``. With ``laws`` it runs with each of them that the solver solves, and gets their names
-    of ``tests.plant.laws.LAWS`` as ``law``; without, scenes are viscous.
+    of ``tests.plant.laws`` as ``law``; without, scenes are viscous.
     """
 
     def parametrised(case: Case) -> Case:
@@ -242,7 +253,9 @@ def claiming(*needed: Claim, laws: list[str] | None = None) -> Callable[[Case], 
             able = [
                 name
                 for name, solver in SOLVERS.items()
-                if solver.claims(*needed) and solver.solves(LAWS[law] if laws else VISCOUS)
+                if solver.claims(*needed)
+                and solver.solves((LAWS | STATIC_LAWS)[law] if laws else VISCOUS)
+                and (effect is None or solver.simulates(effect))
             ]
             assert able, f"{case.__name__}: no solver claims it under {law}"
             params += _params(able, law) if laws else _params(able)

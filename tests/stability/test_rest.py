@@ -12,7 +12,7 @@ from tests.stability.solvers import Claim, Solver, claiming
 
 KAPPA = MU * G
 HALF_AN_HOUR = 1800 * SECOND
-EVERY_LAW = ["viscous", "coulomb", "cone", "rolling", "stick_slip"]
+EVERY_LAW = ["viscous", "coulomb", "cone", "damped", "damped_cone", "rolling", "stick_slip"]
 """But full sliding, which knows no rest: its wheels are taken to outrun the parcel for ever."""
 
 

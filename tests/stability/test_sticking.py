@@ -201,7 +201,7 @@ def test_independent_wheels_hold_on_the_diagonal_what_isotropic_ones_let_go(solv
 # --- a surface that moves -----------------------------------------------------------------------------------------
 
 
-@claiming(Claim.MOTION, laws=["viscous", "coulomb", "cone", "rolling", "stick_slip"])
+@claiming(Claim.MOTION, laws=["viscous", "coulomb", "cone", "damped", "damped_cone", "rolling", "stick_slip"])
 def test_the_same_slip_pulls_the_same_whether_wheels_or_parcel_move(solver: Solver, law: str) -> None:
     """H19, moving against stopped surface: Webots #2412, IsaacLab #6885."""
     speed, moved = np.array([0.6, -0.3]), []
@@ -222,7 +222,7 @@ def test_the_same_slip_pulls_the_same_whether_wheels_or_parcel_move(solver: Solv
     assert np.hypot(*moved[0][2:]) < 0.9 * np.hypot(*speed)
 
 
-@claiming(Claim.STICKING, laws=SET_VALUED)
+@claiming(Claim.STICKING, laws=[*SET_VALUED, "damped", "damped_cone"])
 @pytest.mark.parametrize(("wheels", "start"), [(0.2, 0.0), (0.0, 0.2), (0.2, 0.5), (-0.2, 0.2)])
 def test_a_parcel_takes_on_its_wheels_speed_to_the_bit_and_keeps_it(
     solver: Solver, law: str, wheels: float, start: float

@@ -23,7 +23,13 @@ BOTH_AXES = math.sqrt(2.0)
 
 
 def corner_pulls(
-    traction: Traction, mass: Floats, inertia: Floats, radius: Floats, cells: Floats, gravity: float
+    traction: Traction,
+    mass: Floats,
+    inertia: Floats,
+    radius: Floats,
+    cells: Floats,
+    gravity: float,
+    drag: float = 0.0,
 ) -> Floats:
     """Bounds on the accelerations of parcels' corners under a law of traction; see ``plant.kernels.contact.ccd``.
 
@@ -37,6 +43,7 @@ def corner_pulls(
         radius: ``(m,)`` m, of the farthest corner.
         cells: ``(m,)`` how many fit under each.
         gravity: m/s².
+        drag: of the rollers, s/m.
 
     Returns:
         ``(m, PULL_SIZE)``.
@@ -46,8 +53,10 @@ def corner_pulls(
     stiffness = traction.stiffness_per_load * weight + traction.stiffness * cells
     bounds = np.zeros((len(mass), to.PULL_SIZE))
     bounds[:, to.PER_SLIP] = 1e300 if traction.set_valued else stiffness * yielding
-    bounds[:, to.LIMIT] = (traction.limit_per_load * weight + traction.limit * cells) * yielding
+    limit = traction.limit_per_load * weight + traction.limit * cells
+    bounds[:, to.LIMIT] = traction.static_ratio * limit * yielding
     bounds[:, to.PUSH] = traction.push_per_load * weight * yielding
+    bounds[:, to.UNLIMITED] = (traction.viscous * cells + drag * weight) * yielding
     bounds[:, to.RADIUS] = radius
     return bounds
 
@@ -319,6 +328,7 @@ class Bodies:
         rails: points of each, m.
         traction: the law, which bounds what parcels can do.
         gravity: m/s².
+        drag: of the rollers, s/m.
         pitch: of the array, m.
         slow: m/s: what closes no faster doesn't bounce.
 
@@ -336,6 +346,7 @@ class Bodies:
         rails: Sequence[Sequence[tuple[float, float]]],
         traction: Traction,
         gravity: float,
+        drag: float,
         pitch: float,
         slow: float,
     ) -> None:
@@ -357,7 +368,7 @@ class Bodies:
         self.pull: Floats = np.zeros((len(self._outlines), to.PULL_SIZE))
         reach = self.radius[: len(mass)]
         cells = (2.0 * reach / pitch + 2.0) ** 2
-        self.pull[: len(mass)] = corner_pulls(traction, mass, inertia, reach, cells, gravity)
+        self.pull[: len(mass)] = corner_pulls(traction, mass, inertia, reach, cells, gravity, drag)
 
     def states(self, parcels: Floats) -> Floats:
         """``(b, 6)`` states of all, from the parcels' ``(m, 6)``."""

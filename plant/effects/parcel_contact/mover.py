@@ -43,6 +43,7 @@ class ContactMover:
         parcels: parcels of the scene, including fed parcels.
         traction: the traction law.
         gravity: m/s².
+        drag: drag of the rollers, s/m.
         pitch: pitch of the array, m.
         rules: contact settings.
         solver: solver that moves the parcels.
@@ -58,13 +59,14 @@ class ContactMover:
         parcels: Sequence[ParcelSpec],
         traction: Traction,
         gravity: float,
+        drag: float,
         pitch: float,
         rules: ParcelContactSpec,
         solver: Rewindable,
     ) -> None:
         self._rules, self._solver = rules, solver
         self._bodies = Bodies(
-            parcels, solver.bodies, rules.rails, traction, gravity, pitch, rules.slow_m_s(pitch)
+            parcels, solver.bodies, rules.rails, traction, gravity, drag, pitch, rules.slow_m_s(pitch)
         )
         self.resolves = rules.mode == "resolved"
         self._met: set[Pair] = set()
@@ -128,9 +130,9 @@ class ContactMover:
         states, pull = self._states(), self._bodies.pull
         speed = np.hypot(states[:, 3], states[:, 4])
         slip = speed + pull[:, to.RADIUS] * np.abs(states[:, 5]) + wheels
-        growth = 1.0 - np.minimum(0.5 * pull[:, to.PER_SLIP] * span_s, 0.5)
+        growth = 1.0 - np.minimum(0.5 * (pull[:, to.PER_SLIP] + pull[:, to.UNLIMITED]) * span_s, 0.5)
         gained = np.minimum(pull[:, to.PER_SLIP] * slip / growth, pull[:, to.LIMIT])
-        gained = (gained + pull[:, to.PUSH]) * span_s
+        gained = (gained + pull[:, to.PUSH] + pull[:, to.UNLIMITED] * slip / growth) * span_s
         # traction only draws towards the wheels' speed
         return span_s * np.minimum(speed + 0.5 * gained, 2.0 * (speed + wheels)) + MARGIN_M
 

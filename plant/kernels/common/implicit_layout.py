@@ -17,10 +17,11 @@ FREE_SPEED: Final = 4  # share of the surface speed
 PUSH_PER_SHARE: Final = 5  # m/s^2
 SET_VALUED: Final = 6  # 1 where the stiffness is infinite
 ISOTROPIC: Final = 7  # 1 where both axes of a cell share one limit
-WHEEL: Final = 8  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
-LOCATED: Final = 9  # 1 where each wheel's branch of the law is held over a step, and its changes are located
-CAPTURES: Final = 10  # 1 where chatter is replaced by motion along its surface
-LAW_SIZE: Final = 11
+VISCOUS: Final = 8  # 1/s, by slip, beside the limited part and without a limit
+WHEEL: Final = 9  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
+LOCATED: Final = 10  # 1 where each wheel's branch of the law is held over a step, and its changes are located
+CAPTURES: Final = 11  # 1 where chatter is replaced by motion along its surface
+LAW_SIZE: Final = 12
 
 # ── pace: float64 settings and memory of one parcel
 GYRATION: Final = 0  # m
@@ -35,10 +36,12 @@ LOCATES: Final = 8  # 1 where supports are held over a step, and their changes a
 PACE_SIZE: Final = 9
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
-AX, AY, SX, SY, B, CX, CY, GX, GY, LX, LY = range(11)
-"""Underside above the cell: ``(w0 + AX w2, w1 + AY w2)``; free speeds S; ``b``, ``c`` along each axis, ``g``;
-multipliers L."""
-WHEEL_SIZE: Final = 11
+AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED = range(14)
+"""Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b`` and ``c`` along each axis, equal
+where both axes share one limit; multipliers L. Forces without a limit are ``G - K v``: the law's push and viscous part,
+and other resistance to the underside's motion. ``SUMMED`` is the size of the terms that the free speeds are sums of:
+they may cancel, their rounding does not."""
+WHEEL_SIZE: Final = 14
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4
@@ -47,6 +50,8 @@ LISTED, WRITTEN = range(2)
 
 # ── further statuses
 NOT_SOLVED: Final = 7
+UNBALANCED: Final = 8
+"""Loads and traction don't agree yet: solve again. Never a parcel's status."""
 
 UNITY: Final = 1.0
 ONE_PART: Final = 1

@@ -11,12 +11,12 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.moments import segment
 from plant.kernels.common.motion import solve
-from plant.kernels.common.springs import gap, negligible, plane_at, stiffness
+from plant.kernels.common.springs import gap, negligible, plane_at, shift, stiffness
 
 
 @kernel
 def outside_hull(pos, mem, ctl, y, pitch, mark):
-    """How far the centre of mass lies outside the convex hull of one mode's cells, and by which edge.
+    """How far the load's centre ``y`` lies outside the convex hull of one mode's cells, and by which edge.
 
     Returns (distance in m, negative inside; cell, cell) with the two supports of the edge it is farthest outside
     of. Gift wrapping: only called when a load would be negative or the supports don't span a plane. Cells lie on a
@@ -141,7 +141,8 @@ def contact(surface, parcel, seg, mark, scratch, newton):
     z, w, slope, step, trial = newton[0], newton[1], newton[2], newton[3], newton[4]
     hessian = newton[5:8]
     origin = (seg[at.CX], seg[at.CY], parcel.par[at.PITCH])
-    w[0], w[1], w[2] = 1.0, -origin[0] / origin[2], -origin[1] / origin[2]
+    sx, sy = shift(surface)
+    w[0], w[1], w[2] = 1.0, (sx - origin[0]) / origin[2], (sy - origin[1]) / origin[2]
     z[0], z[1], z[2] = 1.0 / ctl[at.N_MEMBERS] + widest_gap(surface, parcel, mark), 0.0, 0.0
     value = potential(surface, parcel, mark, origin, z, w)
     for _ in range(200):
@@ -180,7 +181,8 @@ def contact(surface, parcel, seg, mark, scratch, newton):
 @kernel
 def violated(surface, parcel, seg, mark):
     """True where a cell marked as loaded would pull, or one marked as lifted would be pressed."""
-    a0, bx, by = plane_at(surface, seg, -seg[at.CX], -seg[at.CY])
+    sx, sy = shift(surface)
+    a0, bx, by = plane_at(surface, seg, sx - seg[at.CX], sy - seg[at.CY])
     zero = negligible(surface, a0)
     for i in range(parcel.ctl[at.N_MEMBERS]):
         state = parcel.mem[i, mark]
@@ -208,7 +210,8 @@ def exchange(surface, parcel, seg, mark):
     ``contact`` finds the supports to the rounding of its potential, half the digits of a load; loads nearer to zero
     than that are sorted out here, one by one.
     """
-    a0, bx, by = plane_at(surface, seg, -seg[at.CX], -seg[at.CY])
+    sx, sy = shift(surface)
+    a0, bx, by = plane_at(surface, seg, sx - seg[at.CX], sy - seg[at.CY])
     mem = parcel.mem
     worst, which = 0.0, -1
     for i in range(parcel.ctl[at.N_MEMBERS]):
@@ -227,14 +230,16 @@ def exchange(surface, parcel, seg, mark):
 @kernel
 def stands(surface, parcel, seg, mark):
     """Whether supports that span no plane carry the parcel. Returns (tipped, off their line)."""
-    ctl = parcel.ctl
-    distance, a, b = outside_hull(surface.pos, parcel.mem, ctl, parcel.y, parcel.par[at.PITCH], mark)
+    ctl, (sx, sy) = parcel.ctl, shift(surface)
+    centre = (parcel.y[0] + sx, parcel.y[1] + sy)
+    distance, a, b = outside_hull(surface.pos, parcel.mem, ctl, centre, parcel.par[at.PITCH], mark)
     ctl[at.TIP_A], ctl[at.TIP_B] = a, b
     if distance > parcel.par[at.ON_LINE]:
         return True, False
-    off = abs(seg[at.LINE_X] * seg[at.CX] + seg[at.LINE_Y] * seg[at.CY])
+    cx, cy = seg[at.CX] - sx, seg[at.CY] - sy
+    off = abs(seg[at.LINE_X] * cx + seg[at.LINE_Y] * cy)
     if seg[at.RANK] == 0:
-        off = (seg[at.CX] * seg[at.CX] + seg[at.CY] * seg[at.CY]) ** 0.5
+        off = (cx * cx + cy * cy) ** 0.5
     return False, off > parcel.par[at.ON_LINE]
 
 

@@ -25,6 +25,22 @@ def edges_under(surface, i):
     """The wheels' edges as they are under parcel ``i``."""
 
 
+def stiction_under(surface, i):
+    """How the wheels hold parcel ``i``."""
+
+
+def transfer_under(surface, i):
+    """The shift of parcel ``i``'s loads."""
+
+
+def shift(surface):
+    """The load's centre from the centre of mass (x, y), m."""
+
+
+def unshift(surface):
+    """Take the load's centre for the centre of mass. Returns whether it was another."""
+
+
 def rate(surface, cell):
     """Rate of a cell's spring over the mean one's."""
 
@@ -73,7 +89,18 @@ def surface_under(surface, i):
     """The surface as parcel ``i`` feels it."""
     springs, edges, rollers = springs_under(surface, i), edges_under(surface, i), rollers_under(surface, i)
     return Surface(
-        surface.pos, surface.grid, surface.steady, surface.decay, surface.grip, springs, edges, rollers
+        surface.pos,
+        surface.grid,
+        surface.steady,
+        surface.decay,
+        surface.grip,
+        springs,
+        edges,
+        rollers,
+        surface.drag,
+        stiction_under(surface, i),
+        surface.factors,
+        transfer_under(surface, i),
     )
 
 
@@ -91,6 +118,26 @@ def _no_springs(_surface, _i):
 @implements(edges_under, "edges", own=False)
 def _no_edges(_surface, _i):
     return None
+
+
+@implements(stiction_under, "stiction", own=False)
+def _no_stiction(_surface, _i):
+    return None
+
+
+@implements(transfer_under, "transfer", own=False)
+def _no_transfer(_surface, _i):
+    return None
+
+
+@implements(shift, "transfer", own=False)
+def _none(_surface):
+    return 0.0, 0.0
+
+
+@implements(unshift, "transfer", own=False)
+def _never_another(_surface):
+    return False
 
 
 @implements(rate, "springs", own=False)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 class Springs(NamedTuple):
@@ -102,6 +103,80 @@ class AllRollers(NamedTuple):
     passed: Floats
 
 
+class Stiction(NamedTuple):
+    """How each wheel holds one parcel, where static friction exceeds the kinetic one.
+
+    See ``plant.kernels.effects.stiction``.
+
+    Attributes:
+        ratio: of the static to the kinetic limit.
+        grips: ``(capacity, 3)`` cell, and how each of its wheels slips.
+        counts: ``(2,)`` rows of ``grips`` and of ``begun``.
+        begun: ``(capacity, 3)`` scratch: ``grips`` where a step begins.
+        found: ``(capacity, 3)`` scratch: that at the end of the part just solved.
+        limits: ``(capacity, 2)`` scratch: kinetic limits of the wheels listed.
+        caught: ``(capacity, 2)`` scratch: wheels that changed within the part.
+    """
+
+    ratio: float
+    grips: Integers
+    counts: Integers
+    begun: Integers
+    found: Integers
+    limits: Floats
+    caught: Integers
+
+
+class AllStiction(NamedTuple):
+    """How each wheel holds each of m parcels.
+
+    Attributes:
+        ratio: as ``Stiction.ratio``.
+        grips: ``(m, capacity, 3)``.
+        counts: ``(m, 2)``.
+        begun: ``(m, capacity, 3)``.
+        found: ``(m, capacity, 3)``.
+        limits: ``(m, capacity, 2)``.
+        caught: ``(m, capacity, 2)``.
+    """
+
+    ratio: float
+    grips: Integers
+    counts: Integers
+    begun: Integers
+    found: Integers
+    limits: Floats
+    caught: Integers
+
+
+class Transfer(NamedTuple):
+    """Shift of one parcel's loads by traction below its centre of mass (see ``plant.kernels.effects.load_transfer``).
+
+    Attributes:
+        lever_s2: height of the centre of mass over the gravitational acceleration.
+        shift: ``(2,)`` from the centre of mass to the load's centre, m.
+        memory: ``(3,)`` scratch: passes of the balance so far, what it was off by, share of a correction.
+    """
+
+    lever_s2: float
+    shift: Floats
+    memory: Floats
+
+
+class AllTransfer(NamedTuple):
+    """Shift of all m parcels' loads.
+
+    Attributes:
+        lever_s2: ``(m,)``.
+        shift: ``(m, 2)``.
+        memory: ``(m, 3)``.
+    """
+
+    lever_s2: Floats
+    shift: Floats
+    memory: Floats
+
+
 class Surface(NamedTuple):
     """The cells and their wheels, as the kernels read them.
 
@@ -116,3 +191,9 @@ class Surface(NamedTuple):
     springs: Springs | AllSprings | None = None
     edges: Edges | AllEdges | None = None
     rollers: Rollers | AllRollers | None = None
+    drag: float | None = None
+    """Of the rollers under the whole weight, 1/s (see ``plant.kernels.effects.roller_drag``)."""
+    stiction: Stiction | AllStiction | None = None
+    factors: Floats | None = None
+    """``(n, 2)`` traction of each wheel over the law's (see ``plant.kernels.effects.uneven_friction``)."""
+    transfer: Transfer | AllTransfer | None = None

@@ -25,8 +25,9 @@ def corner_pull(pull, wheels, before, after, span):
         hypot(before[at.UX], before[at.UY]) + pull[to.RADIUS] * abs(before[at.OMEGA]),
         hypot(after[at.UX], after[at.UY]) + pull[to.RADIUS] * abs(after[at.OMEGA]),
     )
-    growth = 1.0 - min(0.5 * pull[to.PER_SLIP] * span, 0.5)
+    growth = 1.0 - min(0.5 * (pull[to.PER_SLIP] + pull[to.UNLIMITED]) * span, 0.5)
     bound = min(pull[to.PER_SLIP] * (speed + wheels) / growth, pull[to.LIMIT]) + pull[to.PUSH]
+    bound += pull[to.UNLIMITED] * (speed + wheels) / growth
     gained = hypot(after[at.UX] - before[at.UX], after[at.UY] - before[at.UY])
     gained += pull[to.RADIUS] * abs(after[at.OMEGA] - before[at.OMEGA])
     omega = max(abs(before[at.OMEGA]), abs(after[at.OMEGA]))

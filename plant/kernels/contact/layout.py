@@ -14,7 +14,8 @@ PER_SLIP: Final = 0  # of a corner, over the fastest slip, 1/s
 LIMIT: Final = 1  # of the same however large the slip, m/s^2
 PUSH: Final = 2  # of a corner whatever the slip, m/s^2
 RADIUS: Final = 3  # farthest corner from the centre of mass, m
-PULL_SIZE: Final = 4
+UNLIMITED: Final = 4  # as PER_SLIP, but for what no limit holds for, 1/s
+PULL_SIZE: Final = 5
 
 # ── row: float64 (2 pairs, ROW_SIZE), a point at which two bodies touch, and the problem of impulses there
 PX, PY = 0, 1  # in the world, m

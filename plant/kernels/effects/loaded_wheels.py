@@ -9,8 +9,9 @@ parcel,
     D' = E D - rho f     E = exp(-h / tau)     rho = tau (1 - E) / (m / M)
 
 so wheel and law together are a law again, of the slip against a wheel that the step leaves alone: its stiffness is
-``1 / (1/b + rho)``, its limit the same, and nothing is set-valued. A push that goes by the sign of the wheel's own
-speed is the force that brings the wheel to a stand, ``V / rho``, within its limit.
+``1 / (1/b + rho)``, its limit the same, and nothing is set-valued. With a viscous part k beside the limited one and
+``q = 1 + rho k`` they are ``1 / (q (q/b + rho))`` and ``c / q``, beside a viscous part ``k / q``. A push that goes by
+the sign of the wheel's own speed is the force that brings the wheel to a stand, ``V / rho``, within its limit.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def _recoil(work, cell, axis, impulse):
 
 
 @implements(lighten, "slowing", own=True)
-def _lighten(work, parcel, row, cell, share, h):
+def _lighten(work, parcel, row, cell, push_x, push_y, h):
     slowing, wheel, rate = work.slowing, work.wheels[row], parcel.par[at.RATE]
     k = slowing.place[cell]
     if k < 0:
@@ -108,9 +109,13 @@ def _lighten(work, parcel, row, cell, share, h):
     left, rho = exp(-rate * h), -expm1(-rate * h) / rate / work.law[im.WHEEL]
     wheel[im.SX] += left * slowing.now[k, 0]
     wheel[im.SY] += left * slowing.now[k, 1]
-    wheel[im.B] = 1.0 / (1.0 / wheel[im.B] + rho)
-    push = work.law[im.PUSH_PER_SHARE] * share
-    wheel[im.GX], wheel[im.GY] = within(wheel[im.SX] / rho, push), within(wheel[im.SY] / rho, push)
+    softer = 1.0 + rho * wheel[im.K]
+    wheel[im.BX] = 1.0 / (softer * (softer / wheel[im.BX] + rho))
+    wheel[im.BY] = 1.0 / (softer * (softer / wheel[im.BY] + rho))
+    wheel[im.CX] /= softer
+    wheel[im.CY] /= softer
+    wheel[im.K] /= softer
+    wheel[im.GX], wheel[im.GY] = within(wheel[im.SX] / rho, push_x), within(wheel[im.SY] / rho, push_y)
 
 
 @implements(slow, "slowing", own=True)
@@ -121,11 +126,15 @@ def _slow(work, parcel, rows, h):
         for c in range(2):
             now[k, 2 + c] += lasts * now[k, c]
             now[k, c] *= left
-    behind = lag(rate, h)
+    behind, w = lag(rate, h), work.velocity
+    # what else resists the parcel's motion does not act on the wheel
+    viscous = work.law[im.VISCOUS] / (1.0 + lasts / work.law[im.WHEEL] * work.law[im.VISCOUS])
     for i in range(rows):
         wheel, k = work.wheels[i], slowing.row[i]
-        fx, fy, _, _, _ = pull(wheel, work.velocity, work.law[im.ISOTROPIC])
-        ax, ay = (fx + wheel[im.GX]) / work.law[im.WHEEL], (fy + wheel[im.GY]) / work.law[im.WHEEL]
+        fx, fy, _, _, _ = pull(wheel, w, work.law[im.ISOTROPIC])
+        fx += wheel[im.GX] - viscous * (w[0] + wheel[im.AX] * w[2])
+        fy += wheel[im.GY] - viscous * (w[1] + wheel[im.AY] * w[2])
+        ax, ay = fx / work.law[im.WHEEL], fy / work.law[im.WHEEL]
         now[k, 0] -= lasts * ax
         now[k, 1] -= lasts * ay
         now[k, 2] -= behind * ax

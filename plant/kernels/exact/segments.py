@@ -166,6 +166,10 @@ def local_surface(surface, hand):
         surface.springs,
         surface.edges,
         surface.rollers,
+        surface.drag,
+        surface.stiction,
+        surface.factors,
+        surface.transfer,
     )
 
 

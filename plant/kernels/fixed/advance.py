@@ -11,7 +11,8 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import fill, sampled_until
 from plant.kernels.common.jit import kernel
-from plant.kernels.implicit.step import grasp, pull, sign
+from plant.kernels.implicit.balance_hooks import balance, begin_balance
+from plant.kernels.implicit.step import EPSILON, grasp, pull, sign, unlimited
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
 from plant.kernels.implicit.supports import decay, find_loads
 
@@ -22,21 +23,19 @@ NOW = 0.0
 @kernel
 def sliding(row, w, isotropic):
     """Force of one cell's wheels under a set-valued law taken for a function: none at no slip, all of it else."""
-    c = row[im.CX]
     rx, ry = row[im.SX] - w[0] - row[im.AX] * w[2], row[im.SY] - w[1] - row[im.AY] * w[2]
     if isotropic == 0.0:
-        return c * sign(rx), c * sign(ry)
+        return row[im.CX] * sign(rx), row[im.CY] * sign(ry)
     size = (rx * rx + ry * ry) ** 0.5
     if size == 0.0:
         return 0.0, 0.0
-    return c * rx / size, c * ry / size
+    return row[im.CX] * rx / size, row[im.CX] * ry / size
 
 
 @kernel
-def rate(surface, parcel, work, e, slope):
-    """Time derivative of the state under the loads found last, into ``slope``; ``e`` is the motors' decay factor."""
-    y, law, w, arm = parcel.y, work.law, work.velocity, work.pace[im.GYRATION]
-    w[0], w[1], w[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
+def traction(surface, parcel, work, e):
+    """Acceleration by the wheels at ``work.velocity`` under the loads found last: along x, along y, turning."""
+    law, w = work.law, work.velocity
     count = grasp(surface, parcel, work, law, e, NOW)
     along_x = along_y = turn = 0.0
     for i in range(count):
@@ -45,13 +44,30 @@ def rate(surface, parcel, work, e, slope):
             force_x, force_y, _, _, _ = pull(row, w, law[im.ISOTROPIC])
         else:
             force_x, force_y = sliding(row, w, law[im.ISOTROPIC])
-        force_x += row[im.GX]
-        force_y += row[im.GY]
+        beside_x, beside_y = unlimited(row, w)
+        force_x += beside_x
+        force_y += beside_y
         along_x += force_x
         along_y += force_y
         turn += row[im.AX] * force_x + row[im.AY] * force_y
+    return along_x, along_y, turn
+
+
+@kernel
+def rate(surface, parcel, work, e, slope):
+    """Time derivative of the state, into ``slope``; ``e`` is the motors' decay factor. Returns the status."""
+    y, w, arm = parcel.y, work.velocity, work.pace[im.GYRATION]
+    w[0], w[1], w[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
+    begin_balance(surface)
+    while True:
+        along_x, along_y, turn = traction(surface, parcel, work, e)
+        noise = 8.0 * EPSILON * (abs(along_x) + abs(along_y))
+        status = balance(surface, parcel, work, along_x, along_y, noise)
+        if status != im.UNBALANCED:
+            break
     slope[0], slope[1], slope[at.THETA] = y[at.UX], y[at.UY], y[at.OMEGA]
     slope[at.UX], slope[at.UY], slope[at.OMEGA] = along_x, along_y, turn / arm
+    return status
 
 
 @kernel
@@ -80,7 +96,9 @@ def step(surface, parcel, work, scheme, now, h):
             status = checked_loads(surface, parcel, work)
             if status != at.MOVING:
                 break
-        rate(surface, parcel, work, decay(parcel.par, now + ahead), slopes[s])
+        status = rate(surface, parcel, work, decay(parcel.par, now + ahead), slopes[s])
+        if status != at.MOVING:
+            break
     if status == at.MOVING:
         for k in range(6):
             change = 0.0

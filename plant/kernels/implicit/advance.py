@@ -1,8 +1,8 @@
 """The implicit solver's loop of one parcel: steps, and what changed.
 
-Controlled steps end at the first change of supports in them (``located``). Steps of a given length, and those on wheels
-with a width, whose supports change without a jump, take the supports of the pose that each of their parts begins at:
-there, cells enter and leave, and loads vanish and return, at the ends of steps.
+Controlled steps end at the first change of supports in them (``located``). Steps of a given length, those on wheels
+with a width, whose supports change without a jump, and those whose traction shifts the loads, take the supports of the
+pose that each of their parts begins at: there, cells enter and leave, loads vanish and return, at the ends of steps.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from plant.kernels.implicit import located
 from plant.kernels.implicit.extrapolation import controlled, cut
 from plant.kernels.implicit.hooks import keep
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
+from plant.kernels.implicit.stiction_hooks import keep_grips
 from plant.kernels.implicit.supports import corner_speed, decay, find_loads, longest
 
 NARROWEST = 0.01
@@ -43,6 +44,7 @@ def unlocated_step(surface, parcel, work, now, left, events):
     for k in range(6):
         work.begin[k] = parcel.y[k]
     keep(work)
+    keep_grips(surface, parcel, work, decay(parcel.par, now))
     before = remember(parcel, work)
     if pace[im.FIXED] > 0.0:
         # equal steps up to where a state is asked for, none longer than said

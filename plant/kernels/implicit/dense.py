@@ -12,7 +12,7 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import plane_at
 from plant.kernels.implicit.extrapolation import INSTANT, euler
-from plant.kernels.implicit.step import EPSILON, grasp, pull
+from plant.kernels.implicit.step import EPSILON, grasp, pull, unlimited
 from plant.kernels.implicit.supports import carry_supports, decay
 
 DEGREE = 5
@@ -49,7 +49,8 @@ def accelerate(surface, parcel, work, now, acceleration):
     for i in range(count):
         row = work.wheels[i]
         fx, fy, _, _, _ = pull(row, w, law[im.ISOTROPIC])
-        fx, fy = fx + row[im.GX], fy + row[im.GY]
+        gx, gy = unlimited(row, w)
+        fx, fy = fx + gx, fy + gy
         along_x += fx
         along_y += fy
         turn += row[im.AX] * fx + row[im.AY] * fy

@@ -12,9 +12,11 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import smooth
+from plant.kernels.implicit.balance_hooks import balance, begin_balance
 from plant.kernels.implicit.hooks import extrapolate, slow, tabulate, take_back
-from plant.kernels.implicit.step import EPSILON, grasp, new_velocity, regime
+from plant.kernels.implicit.step import EPSILON, grasp, regime
 from plant.kernels.implicit.step_events import same
+from plant.kernels.implicit.stiction_hooks import commit_grips, find_velocity, restore_grips
 from plant.kernels.implicit.supports import carry_supports, decay, find_loads
 
 PARTS = 4
@@ -48,19 +50,29 @@ def supports_here(surface, parcel, work):
 def euler(surface, parcel, work, until, h):
     """One implicit step of ``h`` that ends at ``until``, with the loads found last.
 
-    Returns (whether it could be solved, the wheels' ``regime``, how many pull).
+    Returns (status, the wheels' ``regime``, how many pull).
     """
     y, arm, start, w = parcel.y, work.pace[im.GYRATION], work.start, work.velocity
-    count = grasp(surface, parcel, work, work.law, decay(parcel.par, until), h)
     start[0], start[1], start[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
-    solved = new_velocity(work, count, work.law, h, w)
+    begin_balance(surface)
+    while True:
+        count = grasp(surface, parcel, work, work.law, decay(parcel.par, until), h)
+        if not find_velocity(surface, parcel, work, count, h, w):
+            status = im.NOT_SOLVED
+            break
+        noise = 8.0 * EPSILON * (abs(w[0]) + abs(w[1]) + abs(start[0]) + abs(start[1])) / h
+        status = balance(surface, parcel, work, (w[0] - start[0]) / h, (w[1] - start[1]) / h, noise)
+        if status != im.UNBALANCED:
+            break
+    if status == at.TIPPED:
+        return status, 0.0, count
     # untouched where nothing pulls: scaling to and fro could cost its last digit
     turning = y[at.OMEGA] if w[2] == start[2] else w[2] / arm
     y[at.UX], y[at.UY], y[at.OMEGA] = w[0], w[1], turning
     y[0] += h * w[0]
     y[1] += h * w[1]
     y[at.THETA] += h * turning
-    return solved, regime(work, count, work.law[im.ISOTROPIC], w), count
+    return status, regime(work, count, work.law[im.ISOTROPIC], w), count
 
 
 @kernel
@@ -92,20 +104,22 @@ def cut(surface, parcel, work, now, h, parts):
     for k in range(6):
         y[k] = work.begin[k]
     take_back(work)
+    restore_grips(surface)
     for j in range(parts):
         status = supports_here(surface, parcel, work)
         if status != at.MOVING:
             return status
-        solved, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
+        status, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
         slow(work, parcel, pulling, part)
+        commit_grips(surface, pulling)
         if j == 0:
             work.first[3] = wheels
             for k in range(3):
                 work.first[k] = y[at.UX + k] - work.begin[at.UX + k]
         if not finite(y):
             return at.NOT_FINITE
-        if not solved and part > TRIFLE:
-            return im.NOT_SOLVED
+        if status == at.TIPPED or (status == im.NOT_SOLVED and part > TRIFLE):
+            return status
     return at.MOVING
 
 

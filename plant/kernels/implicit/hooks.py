@@ -26,8 +26,8 @@ def recoil(work, cell, axis, impulse):
     """Take from a wheel, per kilogram of the parcel, the impulse that it gives along an axis, m/s."""
 
 
-def lighten(work, parcel, row, cell, share, h):
-    """Let the wheels in ``work.wheels[row]``, under a ``share`` of the weight, give way in a step of ``h``."""
+def lighten(work, parcel, row, cell, push_x, push_y, h):
+    """Let the wheels in ``work.wheels[row]``, that push by as much either way, give way in a step of ``h``."""
 
 
 def slow(work, parcel, rows, h):
@@ -66,8 +66,15 @@ def unloaded(surface, cell, e):
     return vx, vy
 
 
+@kernel
+def summed(surface, cell, e):
+    """Size of the terms of ``unloaded``, both axes together, m/s."""
+    steady = abs(surface.steady[cell, 0]) + abs(surface.steady[cell, 1])
+    return steady + e * (abs(surface.decay[cell, 0]) + abs(surface.decay[cell, 1]))
+
+
 @implements(lighten, "slowing", own=False)
-def _stiff(_work, _parcel, _row, _cell, _share, _h):
+def _stiff(_work, _parcel, _row, _cell, _push_x, _push_y, _h):
     return
 
 

@@ -39,6 +39,7 @@ from plant.kernels.implicit.dense import accelerate, expand
 from plant.kernels.implicit.extrapolation import controlled, extrapolated
 from plant.kernels.implicit.hooks import keep, take_back
 from plant.kernels.implicit.step_events import note_outrun
+from plant.kernels.implicit.stiction_hooks import keep_grips, restore_grips
 from plant.kernels.implicit.supports import carry_supports, corner_speed, decay, longest, note_centroid
 
 TRAVEL = 1.0
@@ -202,6 +203,7 @@ def take_to(surface, parcel, work, now, h, count, first, left):
         t = min(t + LATE, h)
     if t == 0.0:
         take_back(work)
+        restore_grips(surface)
         return at.MOVING, 0.0
     status, _ = extrapolated(surface, parcel, work, now, t)
     if status == at.MOVING and not finite(y):
@@ -309,6 +311,7 @@ def step(surface, parcel, work, now, left, events):
     for k in range(6):
         work.begin[k] = y[k]
     keep(work)
+    keep_grips(surface, parcel, work, decay(parcel.par, now))
     accelerate(surface, parcel, work, now, work.begun)
     most = look_ahead(surface, parcel, work, now, left)
     status, h, attempts = controlled(surface, parcel, work, now, most, at.ZERO)

@@ -14,8 +14,9 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.motion import solve
-from plant.kernels.common.springs import gap, plane_at, stiffness
-from plant.kernels.implicit.hooks import lighten, unloaded
+from plant.kernels.common.springs import gap, plane_at, shift, stiffness
+from plant.kernels.implicit.hooks import lighten, summed, unloaded
+from plant.kernels.implicit.traction_hooks import drag, factor
 
 
 @kernel
@@ -29,21 +30,34 @@ def clamped(q, b, c):
 
 
 @kernel
+def unclamped(row, w):
+    """Force of one cell's wheels as it would be without a limit, multipliers included."""
+    qx = row[im.LX] + row[im.BX] * (row[im.SX] - w[0] - row[im.AX] * w[2])
+    qy = row[im.LY] + row[im.BY] * (row[im.SY] - w[1] - row[im.AY] * w[2])
+    return qx, qy
+
+
+@kernel
 def pull(row, w, isotropic):
-    """Force of one cell's wheels without the push, and its derivative by slip: (fx, fy, kxx, kxy, kyy)."""
-    b = row[im.B]
-    qx = row[im.LX] + b * (row[im.SX] - w[0] - row[im.AX] * w[2])
-    qy = row[im.LY] + b * (row[im.SY] - w[1] - row[im.AY] * w[2])
+    """The limited force of one cell's wheels, and its derivative by slip: (fx, fy, kxx, kxy, kyy)."""
+    qx, qy = unclamped(row, w)
     if isotropic == 0.0:
-        fx, kx = clamped(qx, b, row[im.CX])
-        fy, ky = clamped(qy, b, row[im.CY])
+        fx, kx = clamped(qx, row[im.BX], row[im.CX])
+        fy, ky = clamped(qy, row[im.BY], row[im.CY])
         return fx, fy, kx, 0.0, ky
-    c = row[im.CX]
+    b, c = row[im.BX], row[im.CX]
     size = (qx * qx + qy * qy) ** 0.5
     if size <= c:
         return qx, qy, b, 0.0, b
     ex, ey, k = qx / size, qy / size, b * c / size
     return c * ex, c * ey, k * ey * ey, -k * ex * ey, k * ex * ex
+
+
+@kernel
+def unlimited(row, w):
+    """Force at one cell that no limit holds for: the law's push and viscous part, and what drags, ``G - K v``."""
+    vx, vy = w[0] + row[im.AX] * w[2], w[1] + row[im.AY] * w[2]
+    return row[im.GX] - row[im.K] * vx, row[im.GY] - row[im.K] * vy
 
 
 EPSILON = 2.3e-16
@@ -69,12 +83,12 @@ def sign(value):
 
 
 @kernel
-def hold_branches(mem, i, row, limit):
+def hold_branches(mem, i, row, limit_x, limit_y):
     """Let the wheels of member ``i`` pull as on the branches that they are on, wherever the slip leads."""
     for axis in range(2):
         branch = mem[i, at.BRANCH + axis]
         row[im.CX + axis] = 1e300 if branch == 0 else 0.0
-        row[im.GX + axis] += branch * limit
+        row[im.GX + axis] += branch * (limit_x if axis == 0 else limit_y)
 
 
 @kernel
@@ -87,7 +101,8 @@ def grasp(surface, parcel, work, law, e, h):
     """
     mem, y, seg, wheels = parcel.mem, parcel.y, work.seg, work.wheels
     ahead_x, ahead_y = h * y[at.UX], h * y[at.UY]
-    mx, my = ahead_x - seg[at.CX], ahead_y - seg[at.CY]
+    sx, sy = shift(surface)
+    mx, my = ahead_x + sx - seg[at.CX], ahead_y + sy - seg[at.CY]
     a0, bx, by = plane_at(surface, seg, mx, my)
     arm = work.pace[im.GYRATION]
     # past the instant at which a support is lifted its load goes on falling, until the step is ended there
@@ -108,18 +123,29 @@ def grasp(surface, parcel, work, law, e, h):
         row = wheels[count]
         row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
         row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
-        row[im.B] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * share
-        limit = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * share
-        row[im.CX] = row[im.CY] = max(limit, 0.0)
-        row[im.GX] = row[im.GY] = 0.0
+        row[im.SUMMED] = law[im.FREE_SPEED] * summed(surface, cell, e)
+        along_x, along_y = factor(surface, cell)
+        along_x *= share
+        along_y *= share
+        row[im.BX] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_x
+        row[im.BY] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_y
+        limit_x = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_x
+        limit_y = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_y
+        row[im.CX], row[im.CY] = max(limit_x, 0.0), max(limit_y, 0.0)
+        row[im.GX] = row[im.GY] = push_x = push_y = 0.0
         if law[im.PUSH_PER_SHARE] != 0.0:
             vx, vy = unloaded(surface, cell, midway)
-            push = law[im.PUSH_PER_SHARE] * share
-            row[im.GX], row[im.GY] = push * sign(vx), push * sign(vy)
+            push_x, push_y = law[im.PUSH_PER_SHARE] * along_x, law[im.PUSH_PER_SHARE] * along_y
+            row[im.GX], row[im.GY] = push_x * sign(vx), push_y * sign(vy)
         row[im.LX] = row[im.LY] = 0.0
+        row[im.K] = law[im.VISCOUS]
         if law[im.LOCATED] != 0.0:
-            hold_branches(mem, i, row, limit)
-        lighten(work, parcel, count, cell, share, h)
+            hold_branches(mem, i, row, limit_x, limit_y)
+        lighten(work, parcel, count, cell, push_x, push_y, h)
+        if law[im.VISCOUS] != 0.0:
+            row[im.GX] += row[im.K] * row[im.SX]
+            row[im.GY] += row[im.K] * row[im.SY]
+        row[im.K] += drag(surface, share)
         count += 1
     return count
 
@@ -137,9 +163,10 @@ def slope(work, count, isotropic, h, w):
         row = wheels[i]
         ax, ay = row[im.AX], row[im.AY]
         fx, fy, kxx, kxy, kyy = pull(row, w, isotropic)
-        fx, fy = h * (fx + row[im.GX]), h * (fy + row[im.GY])
+        gx, gy = unlimited(row, w)
+        fx, fy = h * (fx + gx), h * (fy + gy)
         impulses += abs(fx) + abs(fy)
-        kxx, kxy, kyy = h * kxx, h * kxy, h * kyy
+        kxx, kxy, kyy = h * (kxx + row[im.K]), h * kxy, h * (kyy + row[im.K])
         grad[0] -= fx
         grad[1] -= fy
         grad[2] -= ax * fx + ay * fy
@@ -232,7 +259,7 @@ def follow(work, count, isotropic, w, scale):
         row = wheels[i]
         fx, fy, kxx, _, kyy = pull(row, w, isotropic)
         change += abs(fx - row[im.LX]) + abs(fy - row[im.LY])
-        speeds = abs(row[im.SX]) + abs(row[im.SY]) + scale
+        speeds = row[im.SUMMED] + scale
         rounding += EPSILON * (abs(fx) + abs(fy) + (kxx + kyy) * speeds)
         row[im.LX], row[im.LY] = fx, fy
     return change, rounding
@@ -279,10 +306,13 @@ def new_velocity(work, count, law, h, w):
         w[k] = work.start[k]
     if law[im.SET_VALUED] == 0.0 or count == 0:
         return minimise(work, count, isotropic, h, w) >= 0.0
-    weight = FIRST_WEIGHT
+    weight, inertia = FIRST_WEIGHT, 1.0
+    for i in range(count):
+        # what resists without a limit holds the parcel as its inertia does
+        inertia += h * work.wheels[i, im.K]
     for _ in range(MULTIPLIER_STEPS):
         for i in range(count):
-            work.wheels[i, im.B] = weight / (h * count)
+            work.wheels[i, im.BX] = work.wheels[i, im.BY] = weight * inertia / (h * count)
         scale = minimise(work, count, isotropic, h, w)
         if not scale >= 0.0:
             return False

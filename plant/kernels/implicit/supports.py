@@ -8,7 +8,7 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.footprint import box, inside
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.loads import settle
-from plant.kernels.common.springs import reach, touches
+from plant.kernels.common.springs import reach, touches, unshift
 
 FARTHEST = 1e9
 """A parcel this many pitches away has no cells under it."""
@@ -33,7 +33,11 @@ def find_loads(surface, parcel, work):
                     if touches(surface, parcel, count, c, s):
                         count += 1
     parcel.ctl[at.N_MEMBERS] = count
-    return settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    if status == at.TIPPED and unshift(surface):
+        # the traction that shifted the loads may be gone
+        status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    return status
 
 
 @kernel

@@ -43,8 +43,8 @@ def stopping_time(work, count, law):
         speed = max(speed, abs(start[k]))
     for i in range(count):
         row = wheels[i]
-        resistance += row[im.B]
-        limit += row[im.CX]
+        resistance += 0.5 * (row[im.BX] + row[im.BY]) + row[im.K]
+        limit += 0.5 * (row[im.CX] + row[im.CY])
         speed = max(speed, abs(row[im.SX]), abs(row[im.SY]))
     if speed == 0.0:
         return 0.0, 0.0

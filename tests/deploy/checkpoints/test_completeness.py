@@ -27,7 +27,12 @@ CASES: dict[str, tuple[str, dict[str, object]]] = {
     "wheels with rollers": ("bumpy", {}),
     "wheels that feel what they pull": ("loaded", {}),
     "wide wheels": ("wide_wheels", {}),
+    "wheels that hold": (
+        "coulomb",
+        {"friction": {"law": "coulomb", "coefficient": 0.3, "static_coefficient": 0.45}},
+    ),
     "uneven supports": ("uneven", {}),
+    "tall parcels": ("tall", {}),
     "steps of one length": ("elliptic", {"solver": {"name": "fixed_step", "step_s": 1e-3}}),
     "somebody else's integrator": ("elliptic", {"solver": {"name": "scipy"}}),
     "cells that die": ("heat", {"faults": [{"at_s": 0.05, "cell": [2, 2]}, {"at_s": 0.12, "cell": [1, 1]}]}),
@@ -95,7 +100,9 @@ def scene_of(case: str) -> Scene:
 
 
 COMPILED = (
-    "clocks and converters", "wheels with rollers", "wheels that feel what they pull", "wide wheels", "uneven supports"
+    "clocks and converters", "wheels with rollers", "wheels that feel what they pull", "wide wheels", "uneven supports",
+    "wheels that hold",
+    "tall parcels",
 )  # fmt: skip
 """Cases that compile a kernel each."""
 

@@ -13,6 +13,9 @@ import pytest
 from deploy.cli import main
 from deploy.studies.effects.ablation import effect_types
 from plant.effects.contact_width import ContactWidthSpec
+from plant.effects.load_transfer import LoadTransferSpec
+from plant.effects.roller_drag import RollerDragSpec
+from plant.effects.uneven_friction import UnevenFrictionSpec
 from plant.effects.uneven_supports import UnevenSupportsSpec
 from plant.plant import Plant
 
@@ -99,9 +102,12 @@ def test_the_table_fits_a_terminal_and_says_what_was_tried(
 def test_the_ladder_is_printed_and_drawn(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    # each combination of effects on loads is compiled by itself; two rungs less, two kernels less
+    # each combination of effects on loads and traction is compiled by itself: fewer rungs, fewer kernels
     monkeypatch.setattr(ContactWidthSpec, "fidelity_rank", None)
     monkeypatch.setattr(UnevenSupportsSpec, "fidelity_rank", None)
+    monkeypatch.setattr(RollerDragSpec, "fidelity_rank", None)
+    monkeypatch.setattr(LoadTransferSpec, "fidelity_rank", None)
+    monkeypatch.setattr(UnevenFrictionSpec, "fidelity_rank", None)
     folder = tmp_path / "made"
     arguments = ("ladder", "--duration", "0.05", "--repeats", "1", "--quiet", "--output", str(folder))
     found = effects(capsys, *arguments)

@@ -15,7 +15,7 @@ from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
 from plant.solvers.implicit import Implicit
 from plant.specs import PlantSpec
-from tests.plant.laws import CONE, COULOMB, SLIDING, VISCOUS
+from tests.plant.laws import CONE, COULOMB, DAMPED, DAMPED_CONE, MU, SLIDING, VISCOUS
 from tests.plant.reference import Bench
 from tests.plant.scenes import SECOND, Floats, G, bench, parcel, spec
 
@@ -31,8 +31,11 @@ ROLLERS = {"spacing_m": 2e-3, "impulse_s": 1e-3}
 JUST_AFTER_S = 1e-6
 """So long after an event its function is clear of zero."""
 Pull = Callable[[Floats, Floats, Floats], Floats]
-LAWS = [VISCOUS, COULOMB, CONE, SLIDING]
-NAMES = ["viscous", "coulomb", "cone", "sliding"]
+LAWS = [VISCOUS, COULOMB, CONE, SLIDING, DAMPED]
+NAMES = ["viscous", "coulomb", "cone", "sliding", "damped"]
+EVERY = [VISCOUS, COULOMB, CONE, DAMPED, DAMPED_CONE]
+"""But full sliding, which stopped wheels brake by nothing."""
+ALL_NAMES = ["viscous", "coulomb", "cone", "damped", "damped cone"]
 
 
 def scene(
@@ -84,6 +87,12 @@ def energy(plant: Plant, inertia_kg: float) -> float:
 def viscous(loads: Floats, speed: Floats, under: Floats) -> Floats:
     """Force per kilogram of the parcel, eq. 14."""
     return VISCOUS.coefficient_s_per_m * G * loads[:, None] * (speed - under)
+
+
+def damped(loads: Floats, speed: Floats, under: Floats) -> Floats:
+    """Force per kilogram of wheels that all slip, Coulomb's with viscous friction."""
+    slip = speed - under
+    return MU * G * loads[:, None] * np.sign(slip) + DAMPED.viscous_n_s_per_m / MASS * slip
 
 
 def together(plant: Plant, volts: Floats, pull: Pull, span_s: float) -> tuple[Floats, Floats, Floats, int]:
@@ -170,6 +179,18 @@ def test_parcel_and_wheels_move_as_scipy_has_them_move_together(
     assert sense.encoder_m == pytest.approx(travel, abs=1e-9)
 
 
+def test_wheels_that_slip_under_viscous_friction_too_are_slowed_as_scipy_has_it() -> None:
+    plant = Plant(scene(DAMPED, box(velocity_m_s=(0.9, 0.8))))
+    volts = np.full((len(plant.array), 2), -0.1 * VOLTS)
+    state, speed, travel, changed = together(plant, volts, damped, 0.03)
+    sense, _ = plant.advance(volts, 3 * SECOND // 100)
+    assert plant.support_changes == changed
+    assert np.all(speed[plant._solver.covered_cells(0)] < state[3:5])
+    assert plant.state[0] == pytest.approx(state, abs=1e-9)
+    assert plant.wheel_speed == pytest.approx(speed, abs=1e-8)
+    assert sense.encoder_m == pytest.approx(travel, abs=1e-9)
+
+
 @pytest.mark.parametrize("law", [COULOMB, CONE], ids=["coulomb", "cone"])
 def test_a_parcel_that_sticks_is_inertia_that_its_motors_share(law: FrictionSpec) -> None:
     # n wheels at U: (M + n m) dU/dt = n m (V - U) / tau
@@ -195,7 +216,7 @@ def test_wheels_of_great_inertia_run_as_motors_without_load(law: FrictionSpec) -
     assert 0.0 < np.abs(loaded.wheel_speed - alone.wheel_speed).max() < 1e-6
 
 
-@pytest.mark.parametrize("law", [VISCOUS, COULOMB, CONE], ids=["viscous", "coulomb", "cone"])
+@pytest.mark.parametrize("law", EVERY, ids=ALL_NAMES)
 @pytest.mark.parametrize("solver", [{"tolerance": 1e-9}, {"step_s": 0.01}], ids=["controlled", "fixed"])
 def test_what_a_parcel_loses_free_wheels_gain(law: FrictionSpec, solver: dict[str, object]) -> None:
     # motors with a time constant of 30 years: nothing but the parcel and the wheels acts
@@ -209,7 +230,7 @@ def test_what_a_parcel_loses_free_wheels_gain(law: FrictionSpec, solver: dict[st
     assert np.abs(plant.wheel_speed).max() > 1e-3
 
 
-@pytest.mark.parametrize("law", [VISCOUS, COULOMB, CONE], ids=["viscous", "coulomb", "cone"])
+@pytest.mark.parametrize("law", EVERY, ids=ALL_NAMES)
 @pytest.mark.parametrize("tau", [1e-6, 1e6])
 @pytest.mark.parametrize("inertia_kg", [1e-6, 1e6])
 def test_on_wheels_without_command_long_steps_gain_no_energy(

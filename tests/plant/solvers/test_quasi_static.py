@@ -44,12 +44,13 @@ def potential(plant: Plant, law: FrictionSpec, wheels: Floats, velocity: Floats)
     slip -= velocity[2] * np.stack([-lever[:, 1], lever[:, 0]], axis=1)
     size = np.hypot(slip[:, :1], slip[:, 1:]) if traction.isotropic else np.abs(slip)
     limit = traction.limit + traction.limit_per_load * load
+    viscous = 0.5 * traction.viscous * float(np.sum(size * size))
     if traction.set_valued:
-        return float(np.sum(limit * size))
+        return float(np.sum(limit * size)) + viscous
     b = traction.stiffness + traction.stiffness_per_load * load
     bent = np.minimum(size, limit / np.maximum(b, 1e-300))
     straight = np.where(np.isfinite(limit), limit, 0.0) * (size - bent)
-    return float(np.sum(0.5 * b * bent**2 + straight))
+    return float(np.sum(0.5 * b * bent**2 + straight)) + viscous
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -26,6 +26,9 @@ from deploy.util.formatting import silent
 SHOWN = {
     "uneven_supports": ("uneven", 1.5),
     "contact_width": ("wide_wheels", 1.5),
+    "uneven_friction": ("worn", 1.5),
+    "roller_drag": ("dragging", 1.5),
+    "load_transfer": ("tall", 1.5),
     "motors": ("motors", 0.5),
     "wheel_load": ("loaded", 0.4),
     "roller_impacts": ("bumpy", 0.5),

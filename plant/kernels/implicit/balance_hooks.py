@@ -1,0 +1,32 @@
+"""Hooks of the balance between loads and the traction that shifts them (effect ``load_transfer``).
+
+The defaults compile to nothing: loads don't depend on traction. ``load_transfer`` implements the hooks for surfaces
+with ``transfer``.
+"""
+
+from __future__ import annotations
+
+from plant.kernels.common import layout as at
+from plant.kernels.common.hooks import implements
+
+
+def begin_balance(surface):
+    """Begin a balance at the shift that stands."""
+
+
+def balance(surface, parcel, work, ax, ay, noise):
+    """Shift the loads to where the traction has them that accelerates the parcel by (ax, ay), m/s^2.
+
+    ``noise`` is the rounding of that acceleration. Returns MOVING where they were there, UNBALANCED where the traction
+    is to be found again, TIPPED where no loads balance it, NOT_SOLVED where none were found.
+    """
+
+
+@implements(begin_balance, "transfer", own=False)
+def _nothing_to_begin(_surface):
+    return
+
+
+@implements(balance, "transfer", own=False)
+def _balanced(_surface, _parcel, _work, _ax, _ay, _noise):
+    return at.MOVING
