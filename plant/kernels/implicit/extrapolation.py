@@ -201,8 +201,9 @@ def controlled(surface, parcel, work, now, h, before):
         if h <= SHORTEST or (h <= SHORT and pace[im.CROWD] > MANY):
             # what no step length smooths is taken as it is, by the plain step that never gains energy
             status = cut(surface, parcel, work, now, h, im.ONE_PART)
-            pace[im.NEXT] = 2.0 * h
-            return status, h, attempts
+            if status != im.NOT_SOLVED:
+                pace[im.NEXT] = 2.0 * h
+                return status, h, attempts
         h = max(h * min(factor, 0.5), SHORTEST)
         pace[im.NEXT] = h
 
