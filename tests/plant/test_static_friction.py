@@ -84,25 +84,26 @@ def test_wheels_carry_a_parcel_along_up_to_the_static_force_and_drag_it_by_the_k
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("static", [STATIC, 0.8])
 @pytest.mark.parametrize("contact", CONTACTS)
-def test_a_parcel_whose_slip_ends_is_held_by_what_only_static_friction_can_give(contact: str) -> None:
+def test_a_parcel_whose_slip_ends_is_held_by_what_only_static_friction_can_give(
+    contact: str, static: float
+) -> None:
     """The wheels speed up, then stop: where they meet the parcel they slow down faster than it could slide."""
-    cut, command = 0.15, volts(1.2 / TAU)
-    for static in (STATIC, 0.8):
-        plant = held(contact=contact, static=static)
-        plant.advance(uniform(plant, command), round(cut * SECOND))
-        assert plant.state[0, 3] == pytest.approx(MU * G * cut, abs=1e-12)
-        first = wheel(1.2 / TAU, cut)
-        meets = brentq(lambda s: first * np.exp(-s / TAU) - MU * G * (cut + s), 0.0, 0.1, xtol=1e-15)  # noqa: B023
-        needed = first * np.exp(-meets / TAU) / TAU
-        assert needed > MU * G
-        plant.advance(uniform(plant, 0.0), round((cut + meets + 0.02) * SECOND))
-        if needed < static * G:
-            known = first * np.exp(-(meets + 0.02) / TAU)
-        else:
-            known = MU * G * (cut + meets - 0.02)
-        assert plant.state[0, 3] == pytest.approx(known, abs=1e-7)
-    assert STATIC * G < needed < 0.8 * G < 1.2 / TAU
+    cut, command, past = 0.15, volts(1.2 / TAU), 0.005
+    plant = held(contact=contact, static=static)
+    plant.advance(uniform(plant, command), round(cut * SECOND))
+    assert plant.state[0, 3] == pytest.approx(MU * G * cut, abs=1e-12)
+    first = wheel(1.2 / TAU, cut)
+    meets = brentq(lambda s: first * np.exp(-s / TAU) - MU * G * (cut + s), 0.0, 0.1, xtol=1e-15)
+    needed = first * np.exp(-meets / TAU) / TAU
+    assert MU * G < STATIC * G < needed < 0.8 * G < 1.2 / TAU
+    plant.advance(uniform(plant, 0.0), round((cut + meets + past) * SECOND))
+    if needed < static * G:
+        known = first * np.exp(-(meets + past) / TAU)
+    else:
+        known = MU * G * (cut + meets - past)
+    assert plant.state[0, 3] == pytest.approx(known, abs=1e-7)
 
 
 @pytest.mark.slow
