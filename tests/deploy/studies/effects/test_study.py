@@ -233,7 +233,8 @@ def test_the_solver_s_own_error_is_estimated_by_a_tenth_of_its_tolerance_or_step
 
 @pytest.mark.slow
 def test_the_solver_s_error_is_that_of_the_worse_side() -> None:
-    scene = loaded("uneven", "solver.tolerance=1e-3", duration=0.6)
+    coulomb = 'friction={law="coulomb",coefficient=0.3}'
+    scene = loaded("uneven", "solver.tolerance=1e-3", coulomb, duration=0.6)
     pair = ablate(scene, "uneven_supports")
     finer = [refined(side) for side in (pair.on, pair.off)]
     errors = [
