@@ -81,6 +81,7 @@ def test_a_pile_under_each_law_never_overlaps(number: int) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_no_random_pile_overlaps(request: pytest.FixtureRequest) -> None:
     piles = NIGHTLY if request.config.getoption("nightly") else PILES
     assert [flaw for number in range(piles) for flaw in flaws(number, 0.6)] == []
