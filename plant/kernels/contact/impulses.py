@@ -73,35 +73,17 @@ def attempt(count, faces, enough, best, inverse, work):
 
 
 @kernel
-def solve_island(count, faces, scale, enough, accepted, inverse, work):
-    """Find the impulses of an assembled island, ``work.impulse``, from those in it on.
+def search(count, faces, enough, accepted, inverse, work):
+    """Try one method after another, from ``work.impulse`` on, until the error is ``accepted``. Returns the least error.
 
-    Attempts are, in turn: Newton steps from the given impulses; from those of a few sweeps, then of more; from Lemke's;
-    from damped sweeps. The best impulses of all are the result, or those without friction where they don't do.
-
-    Args:
-        count: number of normals.
-        faces: number of faces.
-        scale: fastest motion in the problem.
-        enough: error, over the fastest motion, at which the search ends.
-        accepted: the same, above which another attempt is made; with friction it is `TOLERATED` at least.
-        inverse: ``(b, 2)`` one over mass and over moment of inertia.
-        work: workspace with an assembled island.
-
-    Returns:
-        The error of the impulses, as a motion.
+    Newton steps begin at the given impulses, at those of a few sweeps, then of more, at Lemke's, and at those of
+    damped sweeps. ``work.impulse`` ends as the best of all. Errors are motions.
     """
-    order_faces(faces, inverse, work)
-    size, given, rubs, best = count + faces, False, False, 1e300
+    size, given, best = count + faces, False, 1e300
     for c in range(size):
         given = given or work.impulse[c] != 0.0
         work.start[c] = 0.0
         work.trial[c] = work.impulse[c]
-    for f in range(faces):
-        rubs = rubs or work.friction[f] > 0.0
-    if rubs:
-        accepted = max(accepted, TOLERATED)
-    enough, accepted, unsettled = enough * scale, accepted * scale, UNSETTLED * scale
     if given:
         best = attempt(count, faces, enough, best, inverse, work)
     for times in SWEEPS:
@@ -122,16 +104,41 @@ def solve_island(count, faces, scale, enough, accepted, inverse, work):
         for c in range(size):
             work.trial[c] = work.start[c]
         best = attempt(count, faces, enough, best, inverse, work)
-    if rubs and best > unsettled:
+    return best
+
+
+@kernel
+def solve_island(count, faces, scale, enough, accepted, inverse, work):
+    """Find the impulses of an assembled island, ``work.impulse``, from those in it on.
+
+    Where no method finds them with friction, they are those without.
+
+    Args:
+        count: number of normals.
+        faces: number of faces.
+        scale: fastest motion in the problem.
+        enough: error, over the fastest motion, at which the search ends.
+        accepted: the same, above which another attempt is made; with friction it is `TOLERATED` at least.
+        inverse: ``(b, 2)`` one over mass and over moment of inertia.
+        work: workspace with an assembled island.
+
+    Returns:
+        The error of the impulses, as a motion.
+    """
+    order_faces(faces, inverse, work)
+    rubs = False
+    for f in range(faces):
+        rubs = rubs or work.friction[f] > 0.0
+    tolerated = max(accepted, TOLERATED) if rubs else accepted
+    best = search(count, faces, enough * scale, tolerated * scale, inverse, work)
+    if rubs and best > UNSETTLED * scale:
         # without friction the problem is convex: nothing closes, whatever friction would have done
         work.tally[to.SLIPPERY] += 1
-        best = 1e300
         for f in range(faces):
             work.friction[f] = 0.0
-        for c in range(size):
-            work.start[c] = work.trial[c] = 0.0
-        sweep(count, faces, work.trial, SWEEPS[0], 1.0, inverse, work)
-        best = attempt(count, faces, enough, best, inverse, work)
+        for c in range(count + faces):
+            work.impulse[c] = 0.0
+        best = search(count, faces, enough * scale, accepted * scale, inverse, work)
     return best
 
 

@@ -36,8 +36,20 @@ def entry_of(count, c, d, inverse, work):
 
 
 @kernel
+def count_rows(count, faces, work):
+    """How many rows the table of an island has: a normal has one, a tangent two, and its bound one more."""
+    size = count
+    for f in range(faces):
+        if work.held[f] != 0:
+            size += 2
+        elif work.friction[f] > 0.0:
+            size += 3
+    return size
+
+
+@kernel
 def number_rows(count, faces, work):
-    """Write ``work.line``: constraint and sense of each row. Returns how many rows there are with the bounds.
+    """Write ``work.line``: constraint and sense of each row.
 
     Rows are normals, then tangents in both senses, then the bounds of friction, whose constraint is the tangent and
     whose sense is 0.
@@ -48,13 +60,10 @@ def number_rows(count, faces, work):
         size += 1
     for sense in (1, -1, 0):
         for f in range(faces):
-            if work.held[f] != 0 and sense == 0:
-                continue
-            if work.held[f] != 0 or work.friction[f] > 0.0:
-                if size < work.line.shape[0]:
-                    work.line[size, 0], work.line[size, 1] = count + f, sense
+            bounded = work.held[f] == 0 and work.friction[f] > 0.0
+            if bounded or (work.held[f] != 0 and sense != 0):
+                work.line[size, 0], work.line[size, 1] = count + f, sense
                 size += 1
-    return size
 
 
 @kernel
@@ -132,9 +141,10 @@ def pivot(count, faces, impulse, table, moved, inverse, work):
         inverse: ``(b, 2)`` one over mass and over moment of inertia.
         work: workspace with an assembled island.
     """
-    size = number_rows(count, faces, work)
+    size = count_rows(count, faces, work)
     if size > table.shape[0]:
         return False
+    number_rows(count, faces, work)
     fill_table(count, size, table, moved, inverse, work)
     # columns: variables, then the moved constant, the artificial variable, the constant
     r, artificial = at.ZERO, 2 * size

@@ -11,12 +11,16 @@ from itertools import product
 
 import numpy as np
 import pytest
+from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from plant.effects.parcel_contact import bodies
 from plant.effects.parcel_contact.bodies import ContactWorkspace, Group, Shapes, make_workspace
 from plant.kernels.contact import entry as contact_entry
 from plant.kernels.contact import layout as to
+from plant.kernels.contact import problem
+from plant.kernels.contact.pivoting import pivot
 
 Floats = NDArray[np.float64]
 CASES = 1000
@@ -190,3 +194,50 @@ def test_velocities_are_among_those_of_an_exhaustive_search(cases: int, friction
     assert far[solved].max() < SOLVES
     if friction == 0.0:
         assert solved.all()
+
+
+@njit(error_model="numpy")
+def _by_pivoting(rows, ends, work, inverse, motion):  # type: ignore[no-untyped-def]
+    """Impulses of all islands by Lemke's method alone. Returns whether it always ended, and the largest error."""
+    island, begin, ended, worst = work.impulses, 0, True, 0.0
+    for k in range(problem.sort_islands(ends, len(ends), inverse, island)):
+        end = island.until[island.island[k]]
+        faces = problem.number_faces(ends, begin, end, island)
+        scale = problem.assemble(rows, ends, island.row[begin:end], faces, inverse, motion, island)
+        ended &= pivot(end - begin, faces, island.impulse, island.table, 1e-10, inverse, island)
+        error = problem.remaining_error(end - begin, faces, island.impulse, inverse, island)
+        worst = max(worst, error / scale)
+        problem.apply_impulses(end - begin, faces, island.impulse, inverse, motion, island)
+        begin = end
+    return ended, worst
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_lemkes_method_solves_by_itself(friction: float) -> None:
+    for case, island in zip(range(300), islands(13, 8), strict=False):
+        island.work.rows[: island.count, to.FRICTION] = friction
+        after = island.states[:, 3:].copy()
+        rows, ends = island.work.rows[: island.count], island.work.ends[: island.count]
+        ended, error = _by_pivoting(rows, ends, island.work, island.inverse, after)
+        assert ended, case
+        assert error < 1e-9, case
+        if error < 1e-12:  # the other check takes what slides at 1e-10 m/s for sliding
+            assert island.flaw(after, friction) < 1e-9, case
+
+
+def test_a_problem_that_no_method_solves_is_solved_without_friction_and_its_error_noted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # without room for linear systems and tables sweeps are left, which strong friction leads in circles
+    monkeypatch.setattr(bodies, "BANDED", 0)
+    monkeypatch.setattr(bodies, "PIVOTED", 0)
+    slippery = 0
+    for _, island in zip(range(1000), islands(13, 8), strict=False):
+        after = island.struck(1.0)
+        if island.work.impulses.tally[to.SLIPPERY] == 0:
+            continue
+        slippery += 1
+        opening = min(float(np.sum(island.arms(n, across=False) * after)) for n in range(island.count))
+        # what still closes is told
+        assert -opening <= max(float(island.work.left[to.ERROR]), 1e-6)
+    assert slippery > 5
