@@ -87,7 +87,9 @@ def bounce(group, begin, end, states, restitution, friction, work):
                 after[i, k] -= dead[i, k]
         bend = energy(group.inverse, after)
         slope = gained - lost - bend
-        share = (-slope + sqrt(max(slope * slope - 4.0 * bend * lost, 0.0))) / (2.0 * bend)
+        # both impacts are one where nothing bounces: what it gained is what the solution is off by
+        if bend > 0.0:
+            share = (-slope + sqrt(max(slope * slope - 4.0 * bend * lost, 0.0))) / (2.0 * bend)
         for i in range(states.shape[0]):
             for k in range(3):
                 after[i, k] = dead[i, k] + min(max(share, 0.0), 1.0) * after[i, k]

