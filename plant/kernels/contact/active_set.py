@@ -28,8 +28,12 @@ STICKS: Final = 2
 PROXIMAL: Final = 1e-3
 """Weight of the last iterate, over the constraint's own yielding."""
 HEAVIER: Final = 10.0
-"""Factor on the weight where modes go in circles, and the largest weight."""
 HEAVIEST: Final = 1.0
+"""Factor on the weight where modes go in circles, and the largest weight."""
+SLOW: Final = 0.1
+LIGHTER: Final = 0.03
+LIGHTEST: Final = 1e-9
+"""Factor on the weight where a step leaves more than this share of the error, as in long rows, and the least weight."""
 PROXIMAL_STEPS: Final = 40
 NEWTON_STEPS: Final = 12
 """In a proximal step; more are going in circles."""
@@ -145,6 +149,10 @@ def improve(count, faces, impulse, enough, inverse, work):
                 impulse[c] = work.best[c]
                 work.mode[c] = at.NO_CELL - 1
             remaining_error(count, faces, impulse, inverse, work)
+        elif best > SLOW * before and weight > LIGHTEST:
+            weight = max(LIGHTER * weight, LIGHTEST)
+            for c in range(size):
+                work.mode[c] = at.NO_CELL - 1
     for c in range(size):
         impulse[c] = work.best[c]
     return best
