@@ -108,35 +108,81 @@ def gap(shapes, i, j, pi, pj):
 
 
 @kernel
-def reach(shapes, i, pose, nx, ny, ahead):
+def reach(shapes, i, pose, x, y, nx, ny, turn, ahead):
     """How far a shape reaches along a direction when its corners go on for ``ahead`` seconds as they move now.
 
-    ``pose`` is a state x, y, theta, vx, vy, omega; measured from its point.
+    ``pose`` is a state x, y, theta, vx, vy, omega; measured from ``(x, y)``, about which the direction turns at
+    ``turn``, rad/s, to first order.
     """
     c, s = cos(pose[2]), sin(pose[2])
+    mx, my = nx - ahead * turn * ny, ny + ahead * turn * nx
     most = -1e300
     for v in range(shapes.corner[i], shapes.corner[i + 1]):
-        rx = c * shapes.vertices[v, 0] - s * shapes.vertices[v, 1]
-        ry = s * shapes.vertices[v, 0] + c * shapes.vertices[v, 1]
+        vx, vy = shapes.vertices[v, 0], shapes.vertices[v, 1]
+        rx, ry = c * vx - s * vy, s * vx + c * vy
         wx, wy = pose[at.UX] - pose[at.OMEGA] * ry, pose[at.UY] + pose[at.OMEGA] * rx
-        most = max(most, nx * (rx + ahead * wx) + ny * (ry + ahead * wy))
+        here = mx * (pose[0] - x + rx) + my * (pose[1] - y + ry)
+        most = max(most, here + ahead * (nx * wx + ny * wy))
     return most
 
 
 @kernel
-def between(shapes, i, j, pi, pj, nx, ny, ahead):
-    """The free space between two shapes along the direction from ``i`` to ``j``, ``ahead`` seconds on."""
-    apart = nx * (pj[0] - pi[0]) + ny * (pj[1] - pi[1])
-    return apart - reach(shapes, i, pi, nx, ny, ahead) - reach(shapes, j, pj, -nx, -ny, ahead)
+def between(shapes, i, j, pi, pj, nx, ny, turn, ahead):
+    """The free space between two shapes along the direction from ``i`` to ``j``, ``ahead`` seconds on.
+
+    The direction turns at ``turn``, rad/s.
+    """
+    x, y = pi[0], pi[1]
+    mine, other = reach(shapes, i, pi, x, y, nx, ny, turn, ahead), reach(shapes, j, pj, x, y, -nx, -ny, turn, ahead)
+    return -mine - other
+
+
+@kernel
+def extent(shapes, i):
+    """Farthest corner of a shape from its point, m."""
+    most = 0.0
+    for v in range(shapes.corner[i], shapes.corner[i + 1]):
+        most = max(most, hypot(shapes.vertices[v, 0], shapes.vertices[v, 1]))
+    return most
+
+
+@kernel
+def turning_pull(shapes, i, j, pi, pj, turn, span, pull):
+    """Acceleration that corners have at most along a direction that turns at ``turn``, where they have ``pull``."""
+    if turn == 0.0:
+        return pull
+    across, apart = extent(shapes, i), extent(shapes, j)
+    speed = abs(pi[at.OMEGA]) * across + abs(pj[at.OMEGA]) * apart + pull * span
+    speed += hypot(pj[at.UX] - pi[at.UX], pj[at.UY] - pi[at.UY])
+    distance = across + apart + hypot(pj[0] - pi[0], pj[1] - pi[1]) + speed * span
+    return pull + abs(turn) * (2.0 * speed + abs(turn) * distance)
+
+
+@kernel
+def parted(shapes, i, j, pi, pj, qi, qj, direction, turn, span, pull):
+    """Whether a line that turns at ``turn`` parts two shapes all the way from one instant to another ``span`` on.
+
+    ``direction`` is `gap` at the first, which is the later one where ``span`` is negative.
+    """
+    free, nx, ny = direction
+    stray = turning_pull(shapes, i, j, pi, pj, turn, abs(span), pull) * span * span
+    if between(shapes, i, j, pi, pj, nx, ny, turn, span) > 0.5 * stray:
+        return True
+    if free <= 0.125 * stray:
+        return False
+    c, s = cos(turn * span), sin(turn * span)
+    nx, ny = c * nx - s * ny, s * nx + c * ny
+    return between(shapes, i, j, qi, qj, nx, ny, 0.0, 0.0) > 0.125 * stray
 
 
 @kernel
 def stays_clear(shapes, i, j, pi, qi, pj, qj, span, pull):
     """Whether two shapes certainly don't meet between two instants ``span`` apart.
 
-    There is a line between them all the time if one of their lines at either end stays between the corners' ways. No
-    corner gains speed faster than ``pull`` (both shapes' together): it is within ``pull span² / 8`` of the straight way
-    from start to end, and within ``pull t² / 2`` of where its present velocity takes it.
+    There is a line between them all the time if one of their lines at either end stays between the corners' ways, fixed
+    or turning as one of them does, like the line along an edge that a corner comes near. Along it no corner gains speed
+    faster than ``pull`` (both shapes' together) and what turning adds: it is within ``pull span² / 8`` of the straight
+    way from start to end, and within ``pull t² / 2`` of where its present velocity takes it.
 
     Args:
         shapes: ``plant.effects.parcel_contact.bodies.Shapes``.
@@ -149,17 +195,21 @@ def stays_clear(shapes, i, j, pi, qi, pj, qj, span, pull):
         span: s.
         pull: m/s².
     """
-    stray = pull * span * span
-    start, nx, ny = gap(shapes, i, j, pi, pj)
-    if start <= 0.0:
+    start = gap(shapes, i, j, pi, pj)
+    if start[0] <= 0.0:
         return False
-    if between(shapes, i, j, pi, pj, nx, ny, span) > 0.5 * stray:
+    if parted(shapes, i, j, pi, pj, qi, qj, start, 0.0, span, pull):
         return True
-    if min(start, between(shapes, i, j, qi, qj, nx, ny, 0.0)) > 0.125 * stray:
-        return True
-    end, nx, ny = gap(shapes, i, j, qi, qj)
-    if end <= 0.0:
+    end = gap(shapes, i, j, qi, qj)
+    if end[0] <= 0.0:
         return False
-    if min(end, between(shapes, i, j, pi, pj, nx, ny, 0.0)) > 0.125 * stray:
+    if parted(shapes, i, j, qi, qj, pi, pj, end, 0.0, -span, pull):
         return True
-    return between(shapes, i, j, qi, qj, nx, ny, -span) > 0.5 * stray
+    for k in range(2):
+        turn = pj[at.OMEGA] if k == 1 else pi[at.OMEGA]
+        if turn != 0.0 and (
+            parted(shapes, i, j, pi, pj, qi, qj, start, turn, span, pull)
+            or parted(shapes, i, j, qi, qj, pi, pj, end, turn, -span, pull)
+        ):
+            return True
+    return False

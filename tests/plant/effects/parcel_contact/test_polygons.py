@@ -119,3 +119,30 @@ def test_faces_a_nanometre_apart_are_separated_along_their_normal() -> None:
     distance, x, y = contact_entry.gap(shapes, 0, 1, first, second)
     assert distance == pytest.approx(1.8621835e-9, abs=1e-14)
     assert (x, y) == pytest.approx((1.0, 0.0), abs=1e-15)
+
+
+def test_a_corner_that_stays_beside_a_turning_face_is_seen_to_stay_clear() -> None:
+    """A line fixed along the face would cut into the face's far end, at any gap as small, in all but a short time."""
+    half, gap, omega, span = 0.15, 2e-7, -1.0, 1e-4
+    square = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    diamond = np.array([(0.0, -0.1), (0.1, 0.0), (0.0, 0.1), (-0.1, 0.0)])
+    # the diamond's lower corner hangs over the square's upper face, and goes along with it as one body would
+    there, turned = np.array([0.1, half + gap + 0.1]), omega * span
+    back = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]]) @ there
+
+    def states(place: Floats, angle: float) -> Floats:
+        velocity = omega * np.array([-place[1], place[0]])
+        return np.array([[0.0, 0.0, angle, 0.0, 0.0, omega], [*place, angle, *velocity, omega]])
+
+    pull = np.zeros((2, to.PULL_SIZE))
+    pull[:, to.PUSH] = 1.0
+    _, unsure = contact_entry.first_uncertain(
+        pack([square, diamond]),
+        np.array([[0, 1]]),
+        pull,
+        0.0,
+        np.array([0.0, span]),
+        np.stack([states(there, 0.0), states(back, turned)]),
+        0,
+    )
+    assert unsure < 0
