@@ -15,13 +15,13 @@ COMPILED = {"error_model": "numpy", "_nrt": False}
 """As ``jit.kernel`` does."""
 
 
-def implements(question, part, own):
-    """Let a function implement a hook for first arguments that have a ``part`` of their own, or for those that don't.
+def implements(question, *parts, own):
+    """Let a function implement a hook for first arguments that have a part of their own, or for those that don't.
 
     Args:
         question: The function without a body.
-        part: Field of its first argument.
-        own: For which of the two.
+        parts: Fields of its first argument.
+        own: True: for those that have any of the parts; False: for those that have none.
 
     Returns:
         A decorator of the function, which takes what the question takes.
@@ -31,8 +31,9 @@ def implements(question, part, own):
         # not strict: the names of arguments that an implementation has no use for need not agree
         @overload(question, jit_options=COMPILED, strict=False)
         def resolve(record, *_):
-            found = dict(zip(record.fields, record.types, strict=True))[part]
-            return None if isinstance(found, types.NoneType) == own else implementation
+            fields = dict(zip(record.fields, record.types, strict=True))
+            found = any(not isinstance(fields[part], types.NoneType) for part in parts)
+            return implementation if found == own else None
 
         return implementation
 

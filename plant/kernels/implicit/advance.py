@@ -13,10 +13,12 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import fill, may_go_on, sampled_until
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import reach
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.implicit import located
+from plant.kernels.implicit.event_hooks import UNLOCATED, prepare_step, take_step
 from plant.kernels.implicit.extrapolation import controlled, cut
 from plant.kernels.implicit.hooks import keep
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
@@ -72,6 +74,30 @@ def unlocated_step(surface, parcel, work, now, left, events):
     return status, h, attempts
 
 
+@implements(prepare_step, *UNLOCATED, own=True)
+def _prepare(surface, parcel, work, _now, _events):
+    return find_loads(surface, parcel, work)
+
+
+@implements(prepare_step, *UNLOCATED, own=False)
+def _prepare_either(surface, parcel, work, now, events):
+    if work.pace[im.LOCATES] == 0.0:
+        return find_loads(surface, parcel, work)
+    return located.prepare(surface, parcel, work, now, events)
+
+
+@implements(take_step, *UNLOCATED, own=True)
+def _step(surface, parcel, work, now, left, events):
+    return unlocated_step(surface, parcel, work, now, left, events)
+
+
+@implements(take_step, *UNLOCATED, own=False)
+def _either_step(surface, parcel, work, now, left, events):
+    if work.pace[im.LOCATES] == 0.0:
+        return unlocated_step(surface, parcel, work, now, left, events)
+    return located.step(surface, parcel, work, now, left, events)
+
+
 @kernel
 def advance(surface, parcel, work, stop, span, times, out, events):
     """Move one parcel by ``span`` seconds with the wheel velocities given.
@@ -94,20 +120,14 @@ def advance(surface, parcel, work, stop, span, times, out, events):
     now, sampled, taken = 0.0, 0, ctl[at.N_STEPS]
     steps[0] = min(steps[0], steps[1])
     ctl[at.N_LOGGED] = ctl[at.N_CROSSED] = ctl[at.N_LAST] = 0
-    locates = work.pace[im.LOCATES] != 0.0
-    if not locates:
-        ctl[at.STATUS] = find_loads(surface, parcel, work)
-    elif span == 0.0:
-        ctl[at.STATUS] = located.prepare(surface, parcel, work, now, events)
+    if span == 0.0 or work.pace[im.LOCATES] == 0.0:
+        ctl[at.STATUS] = prepare_step(surface, parcel, work, now, events)
     while now < span and ctl[at.STATUS] == at.MOVING:
         ctl[at.STATUS] = may_go_on(stop, ctl[at.N_STEPS] - taken, steps, now)
         if ctl[at.STATUS] != at.MOVING:
             break
         target = times[sampled] if sampled < times.shape[0] else span
-        if locates:
-            status, h, tries = located.step(surface, parcel, work, now, target - now, events)
-        else:
-            status, h, tries = unlocated_step(surface, parcel, work, now, target - now, events)
+        status, h, tries = take_step(surface, parcel, work, now, target - now, events)
         ctl[at.N_STEPS] += tries
         now = target if h >= target - now else now + h
         ctl[at.STATUS] = status

@@ -28,6 +28,7 @@ from plant.kernels.common.advance import prepare as capture_and_settle
 from plant.kernels.common.branches import settle_branches
 from plant.kernels.common.capture import depth, edge_motion, slot_of
 from plant.kernels.common.changes import apply
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.loads import settle
 from plant.kernels.common.series import taylor
@@ -36,6 +37,7 @@ from plant.kernels.common.springs import gap, negligible, plane_at
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.common.wheel_direction import next_turn
 from plant.kernels.implicit.dense import accelerate, expand
+from plant.kernels.implicit.event_hooks import UNCAPTURED, follow_captures, prepare_captures
 from plant.kernels.implicit.extrapolation import controlled, extrapolated
 from plant.kernels.implicit.hooks import keep, take_back
 from plant.kernels.implicit.step_events import note_outrun
@@ -58,18 +60,32 @@ TRIFLE = 1e-3
 @kernel
 def prepare(surface, parcel, work, now, events):
     """Loads, and branches of the law, where a step begins. Returns the status."""
-    par, law = parcel.par, work.law
-    e = decay(par, now)
-    if law[im.CAPTURES] != 0.0:
-        status = capture_and_settle(surface, parcel, work, now, e if e >= DECAYED else 0.0, events)
-    else:
-        status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
-        if status == at.MOVING and law[im.LOCATED] != 0.0:
-            settle_branches(surface, parcel, work.seg, at.ZERO, e)
-    if status != at.MOVING:
-        return status
-    note_centroid(work)
+    status = prepare_captures(surface, parcel, work, now, events)
+    if status == at.MOVING:
+        note_centroid(work)
     return status
+
+
+@kernel
+def prepare_uncaptured(surface, parcel, work, now):
+    """Loads, and branches of the law. Returns the status."""
+    status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    if status == at.MOVING and work.law[im.LOCATED] != 0.0:
+        settle_branches(surface, parcel, work.seg, at.ZERO, decay(parcel.par, now))
+    return status
+
+
+@implements(prepare_captures, *UNCAPTURED, own=True)
+def _nothing_to_capture(surface, parcel, work, now, _events):
+    return prepare_uncaptured(surface, parcel, work, now)
+
+
+@implements(prepare_captures, *UNCAPTURED, own=False)
+def _capture(surface, parcel, work, now, events):
+    if work.law[im.CAPTURES] == 0.0:
+        return prepare_uncaptured(surface, parcel, work, now)
+    e = decay(parcel.par, now)
+    return capture_and_settle(surface, parcel, work, now, e if e >= DECAYED else 0.0, events)
 
 
 @kernel
@@ -245,6 +261,18 @@ def captured_step(surface, parcel, work, now, left, events):
     return at.MOVING, first * h, at.ONE
 
 
+@implements(follow_captures, *UNCAPTURED, own=True)
+def _nothing_captured(_surface, _parcel, _work, _now, _left, _events):
+    return at.MOVING, 0.0, at.ZERO
+
+
+@implements(follow_captures, *UNCAPTURED, own=False)
+def _along_captures(surface, parcel, work, now, left, events):
+    if parcel.ctl[at.N_GROUPS] == 0:
+        return at.MOVING, 0.0, at.ZERO
+    return captured_step(surface, parcel, work, now, left, events)
+
+
 @kernel
 def calm(surface, parcel, work):
     """How long the cells that crossed an edge last may overrun it, s: 0 unless they swing by less than ``capture_m``.
@@ -303,8 +331,9 @@ def step(surface, parcel, work, now, left, events):
     if status != at.MOVING:
         return status, 0.0, at.ONE
     note_outrun_wheels(surface, parcel, work, now, events)
-    if ctl[at.N_GROUPS] > 0:
-        return captured_step(surface, parcel, work, now, left, events)
+    status, h, attempts = follow_captures(surface, parcel, work, now, left, events)
+    if attempts > 0:
+        return status, h, attempts
     if quiet > 0.0:
         left = min(left, quiet)
         ctl[at.N_CAPTURES] += 1

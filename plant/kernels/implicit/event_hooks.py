@@ -1,0 +1,30 @@
+"""Hooks for events within a step: only what an effect leaves to be located is compiled with it.
+
+Where loads change all along a step, on wheels with a width (``edges``) or below a tall parcel (``transfer``), no change
+is located. Where wheels differ from the exact solver's, no motion along a surface is captured.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+UNLOCATED: Final = ("edges", "transfer")
+"""Parts of a surface with which no step ends at an event."""
+UNCAPTURED: Final = ("springs", "factors", "drag", "stiction")
+"""Parts of a surface with which chatter is not captured."""
+
+
+def prepare_step(surface, parcel, work, now, events):
+    """Loads where a step begins. Returns the status."""
+
+
+def take_step(surface, parcel, work, now, left, events):
+    """One step of at most ``left`` seconds. Returns (status, seconds, attempts)."""
+
+
+def prepare_captures(surface, parcel, work, now, events):
+    """Loads, and what is captured, where a step begins. Returns the status."""
+
+
+def follow_captures(surface, parcel, work, now, left, events):
+    """A step along captured surfaces, if there are any. Returns (status, seconds, attempts: 0 if there are none)."""
