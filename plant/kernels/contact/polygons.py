@@ -133,8 +133,8 @@ def between(shapes, i, j, pi, pj, nx, ny, turn, ahead):
     The direction turns at ``turn``, rad/s.
     """
     x, y = pi[0], pi[1]
-    mine, other = reach(shapes, i, pi, x, y, nx, ny, turn, ahead), reach(shapes, j, pj, x, y, -nx, -ny, turn, ahead)
-    return -mine - other
+    mine = reach(shapes, i, pi, x, y, nx, ny, turn, ahead)
+    return -mine - reach(shapes, j, pj, x, y, -nx, -ny, turn, ahead)
 
 
 @kernel
