@@ -18,7 +18,6 @@ class WheelLoadSpec(EffectSpec):
 
     solvers: ClassVar[tuple[str, ...] | None] = ("implicit",)
     needs: ClassVar[tuple[str, ...]] = ("motors",)
-    excludes: ClassVar[tuple[str, ...]] = ("parcel_contact",)
     states: ClassVar[tuple[str, ...]] = ("what its load took from every wheel's speed and travel",)
     fidelity_rank: ClassVar[int | None] = 40
     inertia_kg: Positive | None = None

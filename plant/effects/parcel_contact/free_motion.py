@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import final
 
 import numpy as np
@@ -47,7 +48,7 @@ class FreeMotion:
         solver: solver that moves the parcels. `sample` leaves the solver's states anywhere on the motion, `advance` at
             the end of the span.
         group: bodies of the group.
-        motion: motion of the wheels, from now on.
+        motion: motion of the wheels, from now on. What loads take from them is added to it by `advance`.
         grip: as for ``Solver.advance``.
     """
 
@@ -67,7 +68,8 @@ class FreeMotion:
         group = self._group
         out = np.empty((len(times), len(self._solver.state), 6))
         self._solver.restore(self._snapshot)
-        leg = Segment(self._motion, self._grip, float(times[-1]), times, out)
+        # a look ahead takes nothing from the wheels
+        leg = Segment(replace(self._motion, slowing=None), self._grip, float(times[-1]), times, out)
         results = self._solver.advance(group.parcels, leg)
         states = np.empty((len(times), len(group.names), 6))
         states[:] = group.still

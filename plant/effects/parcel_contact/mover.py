@@ -33,6 +33,8 @@ Pair = tuple[int, int]
 
 MARGIN_M: Final = 1e-6
 """Circles are widened by this much more than motion explains: what contacts correct."""
+REST_M_S: Final = 1e-9
+"""Touching parcels no corner of which is faster are at rest on wheels that are no faster."""
 
 
 @final
@@ -233,7 +235,8 @@ class ContactMover:
             pairs = self._near(live, present, strides)
             involved = np.intersect1d(live, pairs)
             start = self._solver.snapshot(involved)
-            done = [self._through(group, drive, span_s) for group in self._groups(pairs, mask, states)]
+            groups = [group for group in self._groups(pairs, mask, states) if not self._sleeps(group, drive)]
+            done = [self._through(group, drive, span_s) for group in groups]
             came = np.zeros(len(strides))
             for one in done:
                 came[one.group.names] = one.displacement_m
@@ -246,6 +249,8 @@ class ContactMover:
         others = np.setdiff1d(live, involved)
         results = self._solver.advance(others, Segment.through(drive.motion, drive.grip, span_s, len(states)))
         for one in done:
+            if one.slowing is not None and drive.motion.slowing is not None:
+                drive.motion.slowing[:] += one.slowing
             results += one.results
             contacts += one.contacts
             names = _named(one.group)
@@ -267,6 +272,28 @@ class ContactMover:
         chosen = leader[np.where(mask[pairs[:, 0]], pairs[:, 0], pairs[:, 1])]
         for first in np.unique(chosen).tolist():
             yield self._bodies.group(pairs[chosen == first], mask, states)
+
+    def _sleeps(self, group: Group, drive: ContactDrive) -> bool:
+        """Whether a group rests on wheels that stand, none of its bodies overlapping. If so, its motion ends."""
+        states, motion = self._solver.state[group.parcels], drive.motion
+        speed = np.hypot(states[:, 3], states[:, 4]) + self._bodies.radius[group.parcels] * np.abs(
+            states[:, 5]
+        )
+        if speed.max(initial=0.0) > REST_M_S:
+            return False
+        for parcel in group.parcels.tolist():
+            under = self._solver.covered_cells(parcel)
+            if (np.abs(motion.steady[under]) + np.abs(motion.decay[under])).max(initial=0.0) > REST_M_S:
+                return False
+        from plant.kernels.contact import entry as contact_entry
+
+        kernels: Any = contact_entry
+        here = group.still.copy()
+        here[group.moving] = states
+        if any(kernels.gap(group.shapes, i, j, here[i], here[j])[0] < -to.TOUCH_M for i, j in group.pairs):
+            return False
+        self._solver.state[group.parcels, 3:] = 0.0
+        return True
 
     def _through(self, group: Group, drive: ContactDrive, span_s: float) -> Resolution:
         met = {k for k, pair in enumerate(_named(group)) if pair in self._met}

@@ -13,13 +13,14 @@ the common centre of mass.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plant import stop
-from plant.effects.parcel_contact.bodies import Group, make_workspace
+from plant.effects.parcel_contact.bodies import Group, fastest, make_workspace
 from plant.effects.parcel_contact.detect import ContactSearch
 from plant.effects.parcel_contact.events import ContactEvent, contact_event
 from plant.effects.parcel_contact.free_motion import STILL_THERE, FreeMotion, FreeMotionEnded, later
@@ -27,7 +28,7 @@ from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.errors import PlantStopped, PlantUnstable
 from plant.kernels.contact import layout as to
 from plant.solver_api import AdvanceResult, Rewindable
-from plant.wheels import WheelMotion
+from plant.wheels import WheelIntegrator, WheelMotion, WheelRun
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -44,7 +45,7 @@ class ContactDrive(NamedTuple):
     """Wheel motion and traction that act on the parcels of a call.
 
     Attributes:
-        motion: motion of the wheels, from the start of the call.
+        motion: motion of the wheels, from the start of the call; not changed.
         grip: as for ``Solver.advance``.
         wheels: speed of the fastest wheel, m/s.
         start_s: start of the call, s.
@@ -73,6 +74,7 @@ class Resolution:
         results: results of parcels with events, times from the start of the call.
         contacts: contacts that began or ended.
         displacement_m: length of each body's path, ``(b,)``, m.
+        slowing: what the parcels have taken from the wheels, as ``WheelMotion.slowing``; None where they take nothing.
     """
 
     def __init__(
@@ -89,6 +91,11 @@ class Resolution:
         self.results: list[AdvanceResult] = []
         self.contacts: list[ContactEvent] = []
         self.displacement_m: Floats = np.zeros(len(group.names))
+        slowing = drive.motion.slowing
+        self.slowing: Floats | None = None if slowing is None else np.zeros_like(slowing)
+        # the next free motion begins on wheels as slow as the last ones left them
+        run = WheelRun(replace(drive.motion, slowing=self.slowing))
+        self._loaded = None if slowing is None else WheelIntegrator(run)
 
     def run(self, span_s: float) -> None:
         """Take the group through the span.
@@ -173,19 +180,23 @@ class Resolution:
         """Move all freely until one of the pairs ``apart`` touches, or by ``span``. Returns how far."""
         if not len(self.group.moving):
             return span
-        drive = self._drive
-        free_motion = FreeMotion(self._solver, self.group, later(drive.motion, now), drive.grip)
+        drive, loaded = self._drive, self._loaded
+        motion = later(drive.motion, now) if loaded is None else loaded.begin()
+        free_motion = FreeMotion(self._solver, self.group, motion, drive.grip)
         step = span
         if len(apart):
             times = np.array([0.0, span])
             states = np.stack([free_motion.start, free_motion.sample(times[1:])[0]])
-            search = ContactSearch(free_motion, self.group, drive.wheels, times, states)
+            wheels = drive.wheels if loaded is None else fastest(motion)
+            search = ContactSearch(free_motion, self.group, wheels, times, states)
             found = search.contact(apart)
             step = span if found is None else float(search.times[found.known])
         for one in free_motion.advance(step):
             self._take(one, now)
             if one.termination not in STILL_THERE:
                 return span
+        if loaded is not None:
+            loaded.end(motion, now + step)
         return step
 
     def _take(self, one: AdvanceResult, now: float) -> None:

@@ -152,7 +152,10 @@ def modes(island: Island, friction: float) -> Iterator[tuple[list[int], list[int
 
 
 def exhaustive(island: Island, friction: float) -> list[Floats]:
-    """Velocities ``(b, 3)`` of every combination of modes whose least-squares impulses solve the problem."""
+    """Velocities ``(b, 3)`` of every combination of modes in which some impulses solve the problem.
+
+    The least impulses are tried, and where others have the same motion those that push, and hold within friction.
+    """
     moving = island.inverse[:, 0] > 0.0
     weight = np.repeat(island.inverse[moving], [2, 1], axis=1).ravel()
     start = island.states[moving, 3:].ravel()
@@ -167,33 +170,38 @@ def exhaustive(island: Island, friction: float) -> list[Floats]:
         active = [*(normal[n] for n in on), *(tangent[f] for f in stuck)]
         applied = [*(normal[n] + sliding[int(pair[n])] * friction * tangent[pair[n]] for n in on)]
         applied += [tangent[f] for f in stuck]
-        after = start.copy()
-        impulse = np.zeros(0)
+        tried = [start]
         if active:
             rows, columns = np.array(active), np.array(applied)
-            impulse = np.linalg.lstsq(rows @ (weight[:, None] * columns.T), -rows @ start)[0]
-            after = start + weight * (columns.T @ impulse)
-        full = np.zeros_like(island.states[:, 3:])
-        full[moving] = after.reshape(-1, 3)
-        if island.flaw(full, friction) < SOLVES:
-            found.append(full)
+            matrix = rows @ (weight[:, None] * columns.T)
+            impulse, _, rank, _ = np.linalg.lstsq(matrix, -rows @ start)
+            tried = [start + weight * (columns.T @ impulse)]
+            if rank < len(active):
+                # friction of a face that sticks is between its two extremes
+                ends = [
+                    sense for n in on for sense in ((1, -1) if pair[n] in stuck else (sliding[int(pair[n])],))
+                ]
+                points = [n for n in on for _ in range(2 if pair[n] in stuck else 1)]
+                extremes = normal[points] + friction * np.array(ends)[:, None] * tangent[pair[points]]
+                pushes = nnls(rows @ (weight[:, None] * extremes.T), -rows @ start, maxiter=1000)[0]
+                tried.append(start + weight * (extremes.T @ pushes))
+        for after in tried:
+            full = np.zeros_like(island.states[:, 3:])
+            full[moving] = after.reshape(-1, 3)
+            if island.flaw(full, friction) < SOLVES:
+                found.append(full)
     return found
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
-@pytest.mark.parametrize("cases", [30, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [30, pytest.param(CASES, marks=pytest.mark.slow)])
 def test_velocities_are_among_those_of_an_exhaustive_search(cases: int, friction: float) -> None:
     far = np.zeros(cases)
     for case, island in zip(range(cases), islands(11, 6 if friction else 8), strict=False):
         found = exhaustive(island, friction)
         after = island.struck(friction)
-        far[case] = min((float(np.abs(after - one).max()) for one in found), default=np.nan)
-    solved = ~np.isnan(far)
-    # the search takes least impulses, which may pull where others with the same motion push
-    assert solved.mean() > 0.9
-    assert far[solved].max() < SOLVES
-    if friction == 0.0:
-        assert solved.all()
+        far[case] = min((float(np.abs(after - one).max()) for one in found), default=np.inf)
+    assert far.max() < SOLVES
 
 
 @njit(error_model="numpy")

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from plant.effects.parcel_contact.resolve import Resolution
 from plant.effects.parcel_contact.spec import ParcelContactSpec
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
@@ -281,3 +282,27 @@ def test_what_meets_too_slowly_to_bounce_does_so_where_that_is_said(
 def test_the_speed_that_still_bounces_goes_with_the_pitch() -> None:
     rules = ParcelContactSpec()
     assert (rules.slow_m_s(0.1), rules.slow_m_s(0.001)) == (1e-3, pytest.approx(1e-5, rel=1e-15))
+
+
+def test_a_group_at_rest_on_wheels_that_stand_sleeps_until_a_wheel_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[int] = []
+    resolve = Resolution.run
+
+    def counted(self: Resolution, span_s: float) -> None:
+        calls.append(len(self.group.names))
+        resolve(self, span_s)
+
+    monkeypatch.setattr(Resolution, "run", counted)
+    bench = plant(box(-BOX / 2.0, 0.0), box(BOX / 2.0, 0.0), mu=0.5)
+    belts = still(bench)
+    run(bench, belts, 0.1)
+    assert calls == []
+    belts[:, 0] = np.where(bench.array.positions_m[:, 0] < 0.0, 0.2, -0.2)
+    run(bench, belts, 0.1)
+    pressed = len(calls)
+    assert pressed > 20
+    run(bench, still(bench), 0.1)
+    assert len(calls) == pressed, "pressed boxes are at rest at once"
+    assert np.array_equal(bench.state[:, 3:], np.zeros((2, 3)))
