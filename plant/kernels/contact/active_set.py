@@ -107,8 +107,10 @@ def solve_modes(count, faces, impulse, weight, size, half, work):
 
 
 @kernel
-def improve(count, faces, impulse, enough, inverse, work):
-    """Take proximal steps from ``impulse``; it ends at the best iterate. Returns its error.
+def improve(count, faces, impulse, enough, lightest, inverse, work):
+    """Take proximal steps from ``impulse``, of a weight down to ``lightest``; it ends at the best iterate.
+
+    Returns the best error.
 
     Each step solves the problem with ``weight`` times the yielding and the distance from the last iterate added to the
     motion, which has one solution however many the problem has, by Newton steps (Rockafellar, SIAM J. Control Optim. 14
@@ -149,8 +151,8 @@ def improve(count, faces, impulse, enough, inverse, work):
                 impulse[c] = work.best[c]
                 work.mode[c] = at.NO_CELL - 1
             remaining_error(count, faces, impulse, inverse, work)
-        elif best > SLOW * before and weight > LIGHTEST:
-            weight = max(LIGHTER * weight, LIGHTEST)
+        elif best > SLOW * before and weight > lightest:
+            weight = max(LIGHTER * weight, lightest)
             for c in range(size):
                 work.mode[c] = at.NO_CELL - 1
     for c in range(size):

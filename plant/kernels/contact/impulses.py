@@ -13,7 +13,7 @@ from typing import Final
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
-from plant.kernels.contact.active_set import improve, sweep
+from plant.kernels.contact.active_set import LIGHTEST, PROXIMAL, improve, sweep
 from plant.kernels.contact.linear import order_faces
 from plant.kernels.contact.pivoting import pivot
 from plant.kernels.contact.problem import (
@@ -62,9 +62,9 @@ def sliding(row, u, v):
 
 
 @kernel
-def attempt(count, faces, enough, best, inverse, work):
+def attempt(count, faces, enough, lightest, best, inverse, work):
     """Take Newton steps from ``work.trial``; keep in ``work.impulse`` what beats ``best``. Returns the least error."""
-    error = improve(count, faces, work.trial, enough, inverse, work)
+    error = improve(count, faces, work.trial, enough, lightest, inverse, work)
     if error < best:
         best = error
         for c in range(count + faces):
@@ -85,25 +85,26 @@ def search(count, faces, enough, accepted, inverse, work):
         work.start[c] = 0.0
         work.trial[c] = work.impulse[c]
     if given:
-        best = attempt(count, faces, enough, best, inverse, work)
-    for times in SWEEPS:
+        best = attempt(count, faces, enough, LIGHTEST, best, inverse, work)
+    for k in range(len(SWEEPS)):
         if best <= accepted:
             return best
-        sweep(count, faces, work.start, times, 1.0, inverse, work)
+        sweep(count, faces, work.start, SWEEPS[k], 1.0, inverse, work)
         for c in range(size):
             work.trial[c] = work.start[c]
-        best = attempt(count, faces, enough, best, inverse, work)
+        # where light weights lead in circles, the first weight may not
+        best = attempt(count, faces, enough, PROXIMAL if k % 2 == 1 else LIGHTEST, best, inverse, work)
     if best > accepted:
         work.tally[to.PIVOTED] += 1
         for moved in MOVED:
             if best > accepted and pivot(count, faces, work.trial, work.table, moved, inverse, work):
-                best = attempt(count, faces, enough, best, inverse, work)
+                best = attempt(count, faces, enough, LIGHTEST, best, inverse, work)
     if best > accepted:
         work.tally[to.SWEPT] += 1
         sweep(count, faces, work.start, LAST_SWEEPS, LAST_SHARE, inverse, work)
         for c in range(size):
             work.trial[c] = work.start[c]
-        best = attempt(count, faces, enough, best, inverse, work)
+        best = attempt(count, faces, enough, LIGHTEST, best, inverse, work)
     return best
 
 
