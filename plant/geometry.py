@@ -14,12 +14,13 @@ Pairs = NDArray[np.intp]
 def close_boxes(low: Floats, high: Floats) -> Pairs:
     """Pairs of boxes, sides along the axes, that overlap.
 
-    The boxes are sorted along the axis along which they lie farther apart, and each is compared with those that begin
-    before it ends.
+    The plane is cut into strips twice as wide as the mean box, along the axis along which boxes lie farthest apart. In
+    each, boxes are sorted and compared with those that begin before they end: time grows as the number of boxes and of
+    those that overlap along the strip.
 
     Args:
-        low: ``(m, d)`` least coordinates.
-        high: ``(m, d)`` greatest coordinates.
+        low: ``(m, 2)`` least coordinates.
+        high: ``(m, 2)`` greatest coordinates.
 
     Returns:
         ``(k, 2)`` indices, the lesser first, in lexical order.
@@ -27,20 +28,37 @@ def close_boxes(low: Floats, high: Floats) -> Pairs:
     count = len(low)
     if count < 2:
         return np.zeros((0, 2), dtype=np.intp)
-    axis = int(np.argmax(np.ptp(low, axis=0)))
-    order = np.argsort(low[:, axis], kind="stable")
-    begins = low[order, axis]
-    ends = np.asarray(np.searchsorted(begins, high[order, axis], side="left"), dtype=np.intp)
-    places = np.arange(count)
-    later = np.maximum(ends - places - 1, 0)
+    along = int(np.argmax(np.ptp(low, axis=0)))
+    box, strip = _strips(low[:, 1 - along], high[:, 1 - along])
+    # places among all begins in place of coordinates: whole numbers, which strips don't round
+    begins = np.sort(low[:, along])
+    begin = strip * (count + 1) + np.searchsorted(begins, low[box, along], side="left")
+    order = np.argsort(begin, kind="stable")
+    box, strip, begin = box[order], strip[order], begin[order]
+    end = strip * (count + 1) + np.searchsorted(begins, high[box, along], side="left")
+    places = np.arange(len(box))
+    later = np.maximum(np.searchsorted(begin, end, side="left") - places - 1, 0)
     first = np.repeat(places, later)
-    start = np.cumsum(later) - later
-    second = first + 1 + np.arange(len(first)) - np.repeat(start, later)
-    pairs = np.stack([order[first], order[second]], axis=1)
+    second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(later) - later, later)
+    pairs = np.stack([box[first], box[second]], axis=1)
     pairs.sort(axis=1)
     i, j = pairs.T
     pairs = pairs[np.all((low[i] < high[j]) & (low[j] < high[i]), axis=1)]
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    # those in two strips are found twice
+    return np.stack(np.divmod(np.unique(pairs[:, 0] * count + pairs[:, 1]), count), axis=1)
+
+
+def _strips(low: Floats, high: Floats) -> tuple[Pairs, Pairs]:
+    """Which box lies in which strip, box by box, each strip as often as a box reaches into it; both ``(k,)``."""
+    origin, width = low.min(), 2.0 * float(np.mean(high - low))
+    if width <= 0.0 or not np.isfinite(width):
+        return np.arange(len(low)), np.zeros(len(low), dtype=np.intp)
+    most = len(low) - 1.0
+    first = np.minimum((low - origin) // width, most).astype(np.intp)
+    last = np.minimum((high - origin) // width, most).astype(np.intp)
+    many = last - first + 1
+    box = np.repeat(np.arange(len(low)), many)
+    return box, first[box] + np.arange(len(box)) - np.repeat(np.cumsum(many) - many, many)
 
 
 def close_pairs(centre: Floats, radius: Floats) -> Pairs:

@@ -270,8 +270,10 @@ class ContactMover:
             np.minimum.at(leader, both[:, 1], before[both[:, 0]])
             leader = leader[leader]
         chosen = leader[np.where(mask[pairs[:, 0]], pairs[:, 0], pairs[:, 1])]
-        for first in np.unique(chosen).tolist():
-            yield self._bodies.group(pairs[chosen == first], mask, states)
+        order = np.argsort(chosen, kind="stable")
+        for group in np.split(pairs[order], np.flatnonzero(np.diff(chosen[order])) + 1):
+            if len(group):
+                yield self._bodies.group(group, mask, states)
 
     def _sleeps(self, group: Group, drive: ContactDrive) -> bool:
         """Whether a group rests on wheels that stand, none of its bodies overlapping. If so, its motion ends."""
