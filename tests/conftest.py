@@ -31,6 +31,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="all tests, the slow ones too; 200 random schedules, all solvers compared, fuzzers for ten minutes",
     )
+    parser.addoption(
+        "--compile-late",
+        action="store_true",
+        help="compile kernels where the first test needs them, not ahead",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -50,7 +55,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         if known is not None:
             config.stash[WATCH] = specialisations.Watch(known)
         return
-    if config.option.collectonly or not specialisations.lasting():
+    if config.option.collectonly or config.getoption("compile_late") or not specialisations.lasting():
         return
     whole = config.args_source is not pytest.Config.ArgsSource.ARGS and not config.option.keyword
     needed = specialisations.chosen(config.option.markexpr if whole else "not kernels and not slow")

@@ -251,17 +251,8 @@ def test_the_additions_keep_the_import_contracts_and_the_style(everything: Path)
 def test_the_tests_that_the_page_names_fail_until_they_are_extended(everything: Path) -> None:
     named = sorted(set(COMPARED.findall(PAGE)))
     assert len(named) == 7
-    failed: set[str] = set()
-    printed = ""
-    for options in (
-        (),
-        ("--noconftest",),
-    ):  # the conftest of tests/system compiles kernels, and its test needs none
-        these = [name for name in named if ("tests/system/" in name) == bool(options)]
-        done = in_copy(
-            everything, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist", "-q", *options, *these,
-            PYTEST_XDIST_WORKER="none",  # nor are kernels compiled at the start
-        )  # fmt: skip
-        failed |= set(re.findall(r"^FAILED (tests/\S+\.py::test_[\w\[\]]+)", done.stdout, re.MULTILINE))
-        printed += done.stdout
-    assert failed == set(named), printed
+    done = in_copy(
+        everything, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist", "-q", "--compile-late", *named
+    )
+    failed = set(re.findall(r"^FAILED (tests/\S+\.py::test_[\w\[\]]+)", done.stdout, re.MULTILINE))
+    assert failed == set(named), done.stdout

@@ -83,8 +83,9 @@ def test_a_rung_has_the_scene_s_own_settings_and_what_has_no_place_stays() -> No
     assert all("parcel_contact" in tables(rung.scene) for rung in railed if rung.scene is not None)
     assert railed[0].scene is None
     assert railed[0].reason.startswith("solver.name: leaves out effects.parcel_contact")
-    (load,) = (rung for rung in railed if rung.name == "wheel_load")
-    assert (load.scene, load.reason) == (None, "effects.wheel_load: doesn't go with effects.parcel_contact")
+    (tall,) = (rung for rung in railed if rung.name == "load_transfer")
+    assert tall.scene is None
+    assert tall.reason.startswith("effects.load_transfer: doesn't go with effects.parcel_contact")
 
 
 def test_an_effect_s_declared_place_is_where_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:

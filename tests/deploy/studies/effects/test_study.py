@@ -160,7 +160,7 @@ def test_every_bundled_scene_can_be_varied_and_stays_the_same_if_it_is_not(name:
     [
         ("rolling", (), "motors", "friction.law: has motors of its own; leave effects.motors out"),
         ("elliptic", (), "feeders", "no typical settings: feeders and exits depend on the scene"),
-        ("rails", (), "wheel_load", "effects.wheel_load: doesn't go with effects.parcel_contact"),
+        ("rails", (), "load_transfer", "effects.load_transfer: doesn't go with effects.parcel_contact"),
     ],
 )
 def test_what_can_t_be_toggled_says_why(scene: str, sets: Sequence[str], effect: str, reason: str) -> None:
@@ -179,8 +179,8 @@ def test_what_can_t_be_toggled_says_why(scene: str, sets: Sequence[str], effect:
         (("effects.sensor.threshold=0.5",), ("effects.analogue_sensors", "effects.sensor needs it")),
         (("effects.sensor.hysteresis=0.1",), ("effects.analogue_sensors", "effects.sensor needs it")),
         (
-            ("effects.motors={}", "effects.wheel_load.inertia_kg=0.1", "effects.parcel_contact={}"),
-            ("effects.wheel_load", "doesn't go with effects.parcel_contact"),
+            ("effects.load_transfer.centre_of_mass_height_m=0.05", "effects.parcel_contact={}"),
+            ("effects.load_transfer", "doesn't go with effects.parcel_contact"),
         ),
     ],
 )

@@ -73,6 +73,7 @@ def test_boxes_that_bounce_fully_keep_all_momentum_and_energy(seed: int) -> None
     assert max(gain, abs(loss)) < BALANCED
 
 
+@pytest.mark.slow
 def test_angular_momentum_of_boxes_that_stay_together_is_kept_to_first_order_of_the_step() -> None:
     coarse, fine = (worst(0, 0.0, step_s)[0][2] for step_s in (1e-3, 1e-4))
     assert coarse < 1e-3
