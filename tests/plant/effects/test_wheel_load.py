@@ -330,9 +330,6 @@ def test_a_wheel_under_four_parcels_is_slowed_by_each_whatever_thread_moves_them
 
 def test_it_is_refused_without_motors_and_by_other_solvers() -> None:
     table = dict(scene(VISCOUS, box()))
-    meeting = {"motors": {}, "wheel_load": {"inertia_kg": 1.0}, "parcel_contact": {}}
-    with pytest.raises(ValidationError, match=r"wheel_load .*doesn't go with effects\.parcel_contact"):
-        PlantSpec.model_validate(table | {"effects": meeting})
     with pytest.raises(ValidationError, match=r"effects\.motors .* effects\.wheel_load needs it"):
         PlantSpec.model_validate(table | {"effects": {"wheel_load": {"inertia_kg": 1.0}}})
     with pytest.raises(
