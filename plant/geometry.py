@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,13 +33,12 @@ def close_boxes(low: Floats, high: Floats) -> Pairs:
     box, strip = _strips(low[:, 1 - along], high[:, 1 - along])
     # places among all begins in place of coordinates: whole numbers, which strips don't round
     begins = np.sort(low[:, along])
-    begin = strip * (count + 1) + np.searchsorted(begins, low[box, along], side="left")
+    begin = strip * (count + 1) + _places(begins, low[box, along])
     order = np.argsort(begin, kind="stable")
     box, strip, begin = box[order], strip[order], begin[order]
-    end = strip * (count + 1) + np.searchsorted(begins, high[box, along], side="left")
-    places = np.arange(len(box))
-    later = np.maximum(np.searchsorted(begin, end, side="left") - places - 1, 0)
-    first = np.repeat(places, later)
+    end = strip * (count + 1) + _places(begins, high[box, along])
+    later = np.maximum(_places(begin, end) - np.arange(len(box)) - 1, 0)
+    first = np.repeat(np.arange(len(box)), later)
     second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(later) - later, later)
     pairs = np.stack([box[first], box[second]], axis=1)
     pairs.sort(axis=1)
@@ -46,6 +46,11 @@ def close_boxes(low: Floats, high: Floats) -> Pairs:
     pairs = pairs[np.all((low[i] < high[j]) & (low[j] < high[i]), axis=1)]
     # those in two strips are found twice
     return np.stack(np.divmod(np.unique(pairs[:, 0] * count + pairs[:, 1]), count), axis=1)
+
+
+def _places(ascending: NDArray[Any], values: NDArray[Any]) -> Pairs:
+    """How many of the ascending numbers are less than each value."""
+    return np.asarray(np.searchsorted(ascending, values, side="left"), dtype=np.intp)
 
 
 def _strips(low: Floats, high: Floats) -> tuple[Pairs, Pairs]:
