@@ -246,7 +246,8 @@ class ContactMover:
             # hit by something faster: it may have come to others than were thought of
             strides[far] = 2.0 * came[far]
             self._solver.restore(start)
-        others = np.setdiff1d(live, involved)
+        # those asleep are as those alone: a support may have gone from below them
+        others = np.setdiff1d(live, [parcel for group in groups for parcel in group.parcels.tolist()])
         results = self._solver.advance(others, Segment.through(drive.motion, drive.grip, span_s, len(states)))
         for one in done:
             if one.slowing is not None and drive.motion.slowing is not None:
@@ -276,7 +277,7 @@ class ContactMover:
                 yield self._bodies.group(group, mask, states)
 
     def _sleeps(self, group: Group, drive: ContactDrive) -> bool:
-        """Whether a group rests on wheels that stand, none of its bodies overlapping. If so, its motion ends."""
+        """Whether a group rests on standing wheels, no pair overlapping or newly touching. If so, its motion ends."""
         states, motion = self._solver.state[group.parcels], drive.motion
         speed = np.hypot(states[:, 3], states[:, 4]) + self._bodies.radius[group.parcels] * np.abs(
             states[:, 5]
@@ -292,8 +293,10 @@ class ContactMover:
         kernels: Any = contact_entry
         here = group.still.copy()
         here[group.moving] = states
-        if any(kernels.gap(group.shapes, i, j, here[i], here[j])[0] < -to.TOUCH_M for i, j in group.pairs):
-            return False
+        for (i, j), pair in zip(group.pairs.tolist(), _named(group), strict=True):
+            gap = kernels.gap(group.shapes, i, j, here[i], here[j])[0]
+            if gap < -to.TOUCH_M or (gap <= to.TOUCH_M and pair not in self._met):
+                return False
         self._solver.state[group.parcels, 3:] = 0.0
         return True
 

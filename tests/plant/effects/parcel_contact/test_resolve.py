@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from plant.effects.parcel_contact.resolve import Resolution
 from plant.effects.parcel_contact.spec import ParcelContactSpec
+from plant.faults.base import WheelFaults
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
 from tests.plant.effects.parcel_contact.benches import BOX, box, energy, least_gap, plant, run, still, ticks
@@ -297,8 +298,10 @@ def test_a_group_at_rest_on_wheels_that_stand_sleeps_until_a_wheel_turns(
     monkeypatch.setattr(Resolution, "run", counted)
     bench = plant(box(-BOX / 2.0, 0.0), box(BOX / 2.0, 0.0), mu=0.5)
     belts = still(bench)
-    run(bench, belts, 0.1)
-    assert calls == []
+    (told,) = run(bench, belts, 0.1)
+    assert (told.kind, told.time_s) == ("contact", 0.0)
+    assert len(calls) == 1, "the call that finds the contact"
+    calls.clear()
     belts[:, 0] = np.where(bench.array.positions_m[:, 0] < 0.0, 0.2, -0.2)
     run(bench, belts, 0.1)
     pressed = len(calls)
@@ -306,3 +309,13 @@ def test_a_group_at_rest_on_wheels_that_stand_sleeps_until_a_wheel_turns(
     run(bench, still(bench), 0.1)
     assert len(calls) == pressed, "pressed boxes are at rest at once"
     assert np.array_equal(bench.state[:, 3:], np.zeros((2, 3)))
+
+
+def test_a_sleeping_parcel_whose_supports_are_pulled_falls() -> None:
+    bench = plant(box(-BOX / 2.0, 0.0), box(BOX / 2.0, 0.0), mu=0.5)
+    run(bench, still(bench), 0.1)
+    wheel_faults = WheelFaults.healthy(len(bench.array))
+    wheel_faults.gone[bench.array.positions_m[:, 0] > 0.1] = True
+    bench.apply_faults(wheel_faults, still(bench))
+    _, events = bench.advance(still(bench), bench.time_ns + TICK_NS)
+    assert (events[-1].kind, events[-1].parcel) == ("off_array", 1)
