@@ -146,3 +146,59 @@ def test_a_corner_that_stays_beside_a_turning_face_is_seen_to_stay_clear() -> No
         0,
     )
     assert unsure < 0
+
+
+def test_turning_squares_that_graze_are_not_taken_to_stay_clear() -> None:
+    """Spans about as long as it takes to meet, so that bounds on what corners do are what decides."""
+    draw, clear = np.random.default_rng(3), 0
+    half = 0.15
+    square = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    shapes, pair = pack([square, square]), np.array([[0, 1]])
+    for _ in range(6000):
+        space, pull = 10.0 ** draw.uniform(-6.0, -2.0), 10.0 ** draw.uniform(-3.0, 1.0)
+        starts = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, draw.uniform(0.0, np.pi)]])
+        # the second's lowest corner is as far above the first's upper face
+        low = (placed(square, starts[1])[:, 1]).min()
+        starts[1, :2] = draw.uniform(-0.2, 0.2), half + space - low
+        rates = draw.normal(0.0, [0.1, 0.1, 3.0], (2, 3))
+        angle = draw.uniform(0.0, 2.0 * np.pi, 2)
+        bends = pull * np.stack([np.cos(angle), np.sin(angle), np.zeros(2)], axis=1)
+        speed = np.abs(rates).sum() * half + pull * 1e-3
+        span = float(draw.uniform(0.2, 3.0)) * min(space / speed, (2.0 * space / pull) ** 0.5) * 3.0
+        t = np.linspace(0.0, span, 40)[:, None, None]
+        states = np.concatenate([starts + rates * t + 0.5 * bends * t * t, rates + bends * t], axis=2)
+        bounds = np.zeros((2, to.PULL_SIZE))
+        # of a corner: the parcel's own and that of its turning
+        bounds[:, to.PUSH] = pull
+        bounds[:, to.RADIUS] = half * 2.0**0.5
+        times = np.array([0.0, span])
+        unsure = contact_entry.first_uncertain(shapes, pair, bounds, 0.0, times, states[[0, -1]], 0)[1]
+        if unsure < 0:
+            clear += 1
+            assert min(contact_entry.gap(shapes, 0, 1, *both)[0] for both in states) > 0.0
+    assert clear > 1000
+
+
+def test_a_corner_that_flies_across_a_turning_face_is_seen_to_dip_into_it() -> None:
+    """As far above the face's line at both ends; on the way the line turns up under a straight path."""
+    half, size, gap, omega, speed, span = 0.15, 0.005, 1e-3, 3.0, 2.0, 0.03
+    square = np.array([(-half, -half), (half, -half), (half, half), (-half, half)])
+    diamond = size * np.array([(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)])
+    tilt, across = 0.5 * omega * span, 0.5 * speed * span
+    # the lowest corner over the face's line at both ends, mirror images of each other
+    height = (half + gap) / np.cos(tilt) - across * np.tan(tilt) + size
+    t = np.linspace(-0.5 * span, 0.5 * span, 61)[:, None]
+    zero, one = np.zeros_like(t), np.ones_like(t)
+    turning = np.concatenate([zero, zero, omega * t, zero, zero, omega * one], axis=1)
+    flying = np.concatenate([-speed * t, height * one, zero, -speed * one, zero, zero], axis=1)
+    states, shapes = np.stack([turning, flying], axis=1), pack([square, diamond])
+    gaps = [contact_entry.gap(shapes, 0, 1, *both)[0] for both in states]
+    assert min(gaps[0], gaps[-1]) > 0.5 * gap
+    assert min(gaps) < 0.0
+    bounds = np.zeros((2, to.PULL_SIZE))
+    bounds[:, to.RADIUS] = half * 2.0**0.5, size
+    times = np.array([0.0, span])
+    _, unsure, *_ = contact_entry.first_uncertain(
+        shapes, np.array([[0, 1]]), bounds, 0.0, times, states[[0, -1]], 0
+    )
+    assert unsure == 0
