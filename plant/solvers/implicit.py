@@ -113,7 +113,7 @@ def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
         hessian=np.zeros((3, 3)),
         begin=np.zeros(6),
         end=np.zeros(6),
-        first=np.zeros(4),
+        first=np.zeros(implicit_layout.FIRST_SIZE),
         begun=np.zeros(4),
         error=np.zeros(6),
         table=np.zeros((4, 6)),
@@ -170,7 +170,14 @@ def locate(
     parcel.par[layout.TOLERANCE] = spec.tolerance
     parcel.par[layout.CAPTURE] = spec.capture_m
     parcel.par[layout.LIMIT] = math.inf
-    if traction.set_valued or effects.wheel_load is not None:
+    if effects.wheel_load is not None:
+        return
+    if traction.set_valued:
+        if not traction.isotropic and traction.static_ratio == 1.0:
+            # no slip is within the limit: each wheel sticks, or slips one way
+            parcel.par[[layout.LIMIT, layout.LIMIT_PER_SHARE]] = 0.0
+            parcel.par[layout.FREE_SPEED] = traction.free_speed
+            law[implicit_layout.LOCATED] = 1.0
         return
     set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
     # what the kernels of ``exact`` don't know of: where wheels change branch, and the motion along a surface

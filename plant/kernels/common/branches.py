@@ -4,6 +4,10 @@ A wheel rolls while its resistance to slip stays within the limit that its load 
 Force is continuous where branches meet, so it matters little on which of the two a wheel is taken to be there: a
 wheel keeps its branch until it is past it by more than rounding, and which side the motion takes decides. Loads jump
 with the support set, so every change of it asks all wheels again.
+
+A law without resistance (``jumps``) has no branch between the limits but no slip at all: a wheel there sticks. The force
+jumps where the slip ends, which is located here; where a wheel that sticks gives way is no root of the slip, and is
+located by the solver that knows the forces of such wheels.
 """
 
 from __future__ import annotations
@@ -17,6 +21,31 @@ from plant.kernels.common.springs import LOAD_ZERO, gap, plane_at, stiffness
 
 ROUNDING = 1e-14
 """A share of the speeds around that is none to rounding."""
+
+
+SLIGHT = 5e-5
+"""A slip this small, over a tolerance in m and per second, is none where the force jumps at none."""
+
+
+@kernel
+def jumps(par):
+    """Whether a wheel's force jumps where its slip turns round: the law's resistance is infinite."""
+    return par[at.LIMIT] == 0.0 and par[at.LIMIT_PER_SHARE] == 0.0
+
+
+@kernel
+def slight(par, rounding):
+    """A slip that counts as none where force jumps, m/s; ``rounding`` is what rounding leaves of it."""
+    return max(rounding, SLIGHT * par[at.TOLERANCE])
+
+
+@kernel
+def leeway(par, slip, rounding, branch):
+    """A slip the other way, m/s, half of that at which a wheel on ``branch`` counts as turned round in a step.
+
+    ``slip`` is that at the begin of the step: the error of the step before may have left it on the other side.
+    """
+    return max(slight(par, rounding), -branch * slip)
 
 
 @kernel
@@ -128,9 +157,9 @@ def change(surface, parcel, seg, work, order, o, i, axis, branch, zero, end):
 
 @kernel
 def changes_in_mode(surface, parcel, work, order, m, end):
-    """The first change of branch in mode m before ``end``. Returns (its time or ``end``, the cell or -1)."""
+    """The first change of branch in mode m before ``end``. Returns (its time or ``end``, the cell or -1, the axis)."""
     mem, par, ser, seg = parcel.mem, parcel.par, work.ser, work.segs[m]
-    o, first = at.MODES_AT + m * at.MODE_ROWS, at.NO_CELL
+    o, first, first_axis = at.MODES_AT + m * at.MODE_ROWS, at.NO_CELL, at.ZERO
     a0, bx, by = ser[o + at.M_A0, 0], ser[o + at.M_BX, 0], ser[o + at.M_BY, 0]
     turn, fade = sway(ser, order, at.S_OM), par[at.FREE_SPEED] * sway(ser, order, at.S_EXP)
     # a share changes by no more than this anywhere under the parcel
@@ -142,7 +171,11 @@ def changes_in_mode(surface, parcel, work, order, m, end):
             if mem[i, at.MARK + m] != at.ACTIVE or surface.grip[cell] == 0.0:
                 continue
             branch = mem[i, at.BRANCH + 2 * m + axis]
+            if branch == 0 and jumps(par):
+                continue
             slip, limit, zero = grip_now(surface, parcel, seg, a0, bx, by, ser[at.S_EXP, 0], i, axis)
+            if jumps(par):
+                zero = leeway(par, slip, zero, branch)
             room = limit - abs(slip) if branch == 0 else branch * slip - limit
             reach = along + par[at.LIMIT_PER_SHARE] * stiffness(surface, cell, i) * load
             reach += abs(lever(surface, parcel.y, cell, axis)) * turn
@@ -151,18 +184,18 @@ def changes_in_mode(surface, parcel, work, order, m, end):
                 continue
             t = change(surface, parcel, seg, work, order, o, i, axis, branch, zero, end)
             if t <= end:
-                end, first = t, cell
-    return end, first
+                end, first, first_axis = t, cell, axis
+    return end, first, first_axis
 
 
 @kernel
 def branch_changes(surface, parcel, work, order, end, count):
     """The first wheel of the step that comes to another branch, in any mode: ``settle_branches`` then says which do."""
-    culprit = at.NO_CELL
+    culprit, axis = at.NO_CELL, at.ZERO
     for m in range(1 << parcel.ctl[at.N_GROUPS]):
-        t, cell = changes_in_mode(surface, parcel, work, order, m, end)
+        t, cell, along = changes_in_mode(surface, parcel, work, order, m, end)
         if cell >= 0:
-            end, culprit = t, cell
+            end, culprit, axis = t, cell, along
     if culprit >= 0:
-        count = note(work.found, count, end, at.SWITCH, culprit, at.ZERO)
+        count = note(work.found, count, end, at.SWITCH, culprit, axis)
     return count, end

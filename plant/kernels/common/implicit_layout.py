@@ -36,12 +36,18 @@ LOCATES: Final = 8  # 1 where supports are held over a step, and their changes a
 PACE_SIZE: Final = 9
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
-AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED = range(14)
+AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED, SIDE_X, SIDE_Y = range(16)
 """Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b`` and ``c`` along each axis, equal
 where both axes share one limit; multipliers L. Forces without a limit are ``G - K v``: the law's push and viscous part,
 and other resistance to the underside's motion. ``SUMMED`` is the size of the terms that the free speeds are sums of:
-they may cancel, their rounding does not."""
-WHEEL_SIZE: Final = 14
+they may cancel, their rounding does not. ``SIDE_X`` and ``SIDE_Y`` are 1 or -1 where the wheel, which sticks as the step
+begins, slips that way at its end, else 0."""
+WHEEL_SIZE: Final = 16
+
+# ── first: float64 findings about a step: the change of velocity in its first part, then
+REGIME: Final = 3  # which wheels are at their limits there
+SLIPPED: Final = 4  # the largest slip in the step of a wheel that sticks where it begins, m/s
+FIRST_SIZE: Final = 5
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

@@ -11,8 +11,8 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import plane_at
-from plant.kernels.implicit.extrapolation import INSTANT, euler
-from plant.kernels.implicit.step import EPSILON, grasp, pull, unlimited
+from plant.kernels.implicit.extrapolation import euler
+from plant.kernels.implicit.step import EPSILON, INSTANT, grasp, pull, unlimited
 from plant.kernels.implicit.supports import carry_supports, decay
 
 DEGREE = 5

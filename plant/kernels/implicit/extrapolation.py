@@ -14,7 +14,7 @@ from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import smooth
 from plant.kernels.implicit.balance_hooks import balance, begin_balance
 from plant.kernels.implicit.hooks import extrapolate, slow, tabulate, take_back
-from plant.kernels.implicit.step import EPSILON, grasp, regime
+from plant.kernels.implicit.step import EPSILON, INSTANT, grasp, largest_slip, regime
 from plant.kernels.implicit.step_events import same
 from plant.kernels.implicit.stiction_hooks import commit_grips, find_velocity, restore_grips
 from plant.kernels.implicit.supports import carry_supports, decay, find_loads
@@ -29,8 +29,6 @@ SHORTEST = 1e-12
 """No step is shorter, s; at this length any is taken."""
 TRIFLE = 1e-10
 """In a step this short, s, the forces are within rounding of the velocities: one not solved to rounding is as good."""
-INSTANT = 1e-9
-"""A parcel that tips does so within this time, s."""
 MANY = 20.0
 """More support changes than this at once are chatter: steps across them need be no shorter than ..."""
 SHORT = 1e-4
@@ -105,6 +103,7 @@ def cut(surface, parcel, work, now, h, parts):
         y[k] = work.begin[k]
     take_back(work)
     restore_grips(surface)
+    work.first[im.SLIPPED] = 0.0
     for j in range(parts):
         status = supports_here(surface, parcel, work)
         if status != at.MOVING:
@@ -112,8 +111,10 @@ def cut(surface, parcel, work, now, h, parts):
         status, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
         slow(work, parcel, pulling, part)
         commit_grips(surface, pulling)
+        if parts == PARTS and work.law[im.LOCATED] != 0.0 and work.law[im.SET_VALUED] != 0.0:
+            work.first[im.SLIPPED] = max(work.first[im.SLIPPED], largest_slip(work, pulling))
         if j == 0:
-            work.first[3] = wheels
+            work.first[im.REGIME] = wheels
             for k in range(3):
                 work.first[k] = y[at.UX + k] - work.begin[at.UX + k]
         if not finite(y):
@@ -171,9 +172,9 @@ def unseen(surface, parcel, work, now, h, before):
         y[k] = work.end[k]
     alike = work.pace[im.LOCATES] != 0.0 or same(parcel, work, before)
     wrong = 0.0
-    if (wheels != first[3] and alike) or not (alike or smooth(surface)):
+    if (wheels != first[im.REGIME] and alike) or not (alike or smooth(surface)):
         wrong = LASTS * length(error, at.UX, parcel)
-    if first[3] != work.begun[3]:
+    if first[im.REGIME] != work.begun[3]:
         for k in range(3):
             error[at.UX + k] = first[k] - part * work.begun[k]
         wrong = max(wrong, LASTS * length(error, at.UX, parcel))

@@ -25,7 +25,7 @@ from plant.kernels.common.advance import (
 )
 from plant.kernels.common.advance import SHORTEST as SHORTEST_LOOK
 from plant.kernels.common.advance import prepare as capture_and_settle
-from plant.kernels.common.branches import settle_branches
+from plant.kernels.common.branches import jumps, settle_branches
 from plant.kernels.common.capture import depth, edge_motion, slot_of
 from plant.kernels.common.changes import apply
 from plant.kernels.common.hooks import implements
@@ -40,6 +40,14 @@ from plant.kernels.implicit.dense import accelerate, expand
 from plant.kernels.implicit.event_hooks import UNCAPTURED, follow_captures, prepare_captures
 from plant.kernels.implicit.extrapolation import controlled, extrapolated
 from plant.kernels.implicit.hooks import keep, take_back
+from plant.kernels.implicit.slips import (
+    commit_slips,
+    end_slips,
+    give_way,
+    settle_slips,
+    slip_motion,
+    until_one_slips,
+)
 from plant.kernels.implicit.step_events import note_outrun
 from plant.kernels.implicit.stiction_hooks import keep_grips, restore_grips
 from plant.kernels.implicit.supports import carry_supports, corner_speed, decay, longest, note_centroid
@@ -71,7 +79,10 @@ def prepare_uncaptured(surface, parcel, work, now):
     """Loads, and branches of the law. Returns the status."""
     status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
     if status == at.MOVING and work.law[im.LOCATED] != 0.0:
-        settle_branches(surface, parcel, work.seg, at.ZERO, decay(parcel.par, now))
+        if jumps(parcel.par):
+            settle_slips(surface, parcel, decay(parcel.par, now))
+        else:
+            settle_branches(surface, parcel, work.seg, at.ZERO, decay(parcel.par, now))
     return status
 
 
@@ -150,8 +161,11 @@ def first_event(work, count, first):
 
 
 @kernel
-def event_motion(surface, parcel, work, kind, cell, edge):
-    """Value and rate, where the parcel is, of the function whose root an event is; (0, 0) where it has none."""
+def event_motion(surface, parcel, work, kind, cell, edge, now, t):
+    """Value and rate, where the parcel is, of the function whose root an event is; (0, 0) where it has none.
+
+    ``t`` seconds into the step that begins ``now``; ``edge`` is the axis of a wheel that changes branch.
+    """
     y = parcel.y
     c, s = cos(y[at.THETA]), sin(y[at.THETA])
     if kind == at.ENTER or kind == at.LEAVE or kind == at.CORNER:
@@ -166,14 +180,17 @@ def event_motion(surface, parcel, work, kind, cell, edge):
         rate = (seg[at.PXX] * y[at.UX] + seg[at.PXY] * y[at.UY]) * rx
         rate += (seg[at.PXY] * y[at.UX] + seg[at.PYY] * y[at.UY]) * ry
         return (load + past if kind == at.UNLOAD else load - past), rate
+    if kind == at.SWITCH and jumps(parcel.par):
+        return slip_motion(surface, parcel, work, now, t, cell, edge)
     return 0.0, 0.0
 
 
 @kernel
-def move_on(surface, parcel, work, which, most, left):
+def move_on(surface, parcel, work, which, most, now, t, left):
     """Move the parcel to the event ``which``, by no more than ``most`` either way. Returns the time that took, s.
 
-    At the end of the call, ``left`` seconds ahead, the event has come as near as rounding allows.
+    It is ``t`` seconds into the step that begins ``now``. At the end of the call, ``left`` seconds ahead, the event has
+    come as near as rounding allows.
     """
     y, a, found, moved = parcel.y, work.before, work.found, 0.0
     if which < 0:
@@ -182,7 +199,7 @@ def move_on(surface, parcel, work, which, most, left):
     edge = int(found[which, at.EV_EDGE])
     for _ in range(CORRECTIONS):
         carry_supports(parcel, work)
-        value, rate = event_motion(surface, parcel, work, kind, cell, edge)
+        value, rate = event_motion(surface, parcel, work, kind, cell, edge, now, t + moved)
         dt = min(-value / rate if rate != 0.0 else 0.0, left - moved)
         if not abs(dt) <= most or dt == 0.0:
             break
@@ -215,7 +232,7 @@ def take_to(surface, parcel, work, now, h, count, first, left):
     y = parcel.y
     which = first_event(work, count, first)
     t = first * h
-    if which >= 0 and work.found[which, at.EV_KIND] == at.SWITCH:
+    if which >= 0 and work.found[which, at.EV_KIND] == at.SWITCH and not jumps(parcel.par):
         t = min(t + LATE, h)
     if t == 0.0:
         take_back(work)
@@ -226,7 +243,7 @@ def take_to(surface, parcel, work, now, h, count, first, left):
         status = at.NOT_FINITE
     if status != at.MOVING:
         return status, t
-    t += move_on(surface, parcel, work, which, CORRECTED * t, left - t)
+    t += move_on(surface, parcel, work, which, CORRECTED * t, now, t, left - t)
     return status, t
 
 
@@ -320,6 +337,7 @@ def unsettled(parcel, work):
 def step(surface, parcel, work, now, left, events):
     """One step of at most ``left`` seconds, to its first event. Returns (status, seconds, attempts)."""
     y, pace, ctl = parcel.y, work.pace, parcel.ctl
+    slips = jumps(parcel.par)
     quiet = calm(surface, parcel, work) if work.law[im.CAPTURES] == 0.0 else 0.0
     blind = unsettled(parcel, work)
     if blind:
@@ -342,10 +360,15 @@ def step(surface, parcel, work, now, left, events):
     keep(work)
     keep_grips(surface, parcel, work, decay(parcel.par, now))
     accelerate(surface, parcel, work, now, work.begun)
+    if slips:
+        give_way(surface, parcel, work)
     most = look_ahead(surface, parcel, work, now, left)
     status, h, attempts = controlled(surface, parcel, work, now, most, at.ZERO)
     if status == at.MOVING and not finite(y):
         status = at.NOT_FINITE
+    if status == at.MOVING and slips:
+        status, h, more = until_one_slips(surface, parcel, work, now, h)
+        attempts += more
     if status == at.MOVING:
         overlook(parcel, work, crossed, at.ONE)
         count, first = find_events(surface, parcel, work, now, h)
@@ -358,6 +381,8 @@ def step(surface, parcel, work, now, left, events):
         else:
             for k in range(6):
                 y[k] = work.end[k]
+            if slips:
+                commit_slips(surface, parcel, work)
     if status != at.MOVING:
         if status != at.TIPPED:
             # where it was when numbers ended, not where they led
@@ -369,6 +394,8 @@ def step(surface, parcel, work, now, left, events):
     if count > 0:
         together = first * (1.0 + 1e-13) + 1e-15
         c, s = cos(y[at.THETA]), sin(y[at.THETA])
+        if slips:
+            end_slips(surface, parcel, work, count, together, decay(parcel.par, now + h))
         apply(surface, parcel, work, count, together, now + h, events, c, s)
         pace[im.CROWD] = pace[im.CROWD] + 1.0 if h <= INSTANT else 0.0
     return status, h, attempts

@@ -12,6 +12,7 @@ from math import exp, isfinite, nan
 
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
+from plant.kernels.common.branches import slip_now
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.motion import solve
 from plant.kernels.common.springs import gap, plane_at, shift, stiffness
@@ -61,6 +62,8 @@ def unlimited(row, w):
 
 
 EPSILON = 2.3e-16
+INSTANT = 1e-9
+"""Forces are asked for by a step this short, s, and a parcel that tips does so within this time."""
 SMALLEST = 1e-290
 """Velocities below this, m/s, are none: a share of theirs is no number any more."""
 NEWTON_STEPS = 100
@@ -70,6 +73,8 @@ FIRST_WEIGHT = 1e4
 LAST_WEIGHT = 1e6
 FLAT = 1e-3
 """How flat the potential must be along a Newton step where the step ends, over its slope where it begins."""
+ROUNDED = 64.0
+"""A slip is the difference of speeds that are wrong by so many roundings at most."""
 AGREED = 1e-12
 """A slip that rounding can't tell from none, over the speeds around."""
 
@@ -83,12 +88,57 @@ def sign(value):
 
 
 @kernel
-def hold_branches(mem, i, row, limit_x, limit_y):
-    """Let the wheels of member ``i`` pull as on the branches that they are on, wherever the slip leads."""
+def slip_at(row, w, axis):
+    """Slip of one wheel at the velocity ``w``, m/s."""
+    return row[im.SX + axis] - w[axis] - row[im.AX + axis] * w[2]
+
+
+@kernel
+def rounded_slip(row, w):
+    """A slip that rounding can't tell from none at the velocity ``w``, m/s."""
+    return ROUNDED * EPSILON * (row[im.SUMMED] + abs(w[0]) + abs(w[1]) + abs(w[2]))
+
+
+@kernel
+def largest_slip(work, count):
+    """The largest slip, m/s, of the wheels held by up to their limit in the step just solved; 0 where all stick."""
+    most = 0.0
+    for i in range(count):
+        row = work.wheels[i]
+        for axis in range(2):
+            if row[im.CX + axis] > 0.0:
+                slip = abs(slip_at(row, work.velocity, axis))
+                if slip > max(most, rounded_slip(row, work.velocity)):
+                    most = slip
+    return most
+
+
+@kernel
+def hold_branches(mem, i, row, limit_x, limit_y, sticks):
+    """Let the wheels of member ``i`` pull as on the branches that they are on, wherever the slip leads.
+
+    Where wheels stick (``sticks`` not 0) those between the limits have them yet.
+    """
     for axis in range(2):
         branch = mem[i, at.BRANCH + axis]
-        row[im.CX + axis] = 1e300 if branch == 0 else 0.0
+        if branch != 0:
+            row[im.CX + axis] = 0.0
+        elif sticks == 0.0:
+            row[im.CX + axis] = 1e300
         row[im.GX + axis] += branch * (limit_x if axis == 0 else limit_y)
+
+
+@kernel
+def keep_slips(surface, parcel, i, row, e):
+    """Let the wheels of member ``i`` that stick keep, for an instant, the slip that the error of a step left them.
+
+    ``e`` is the motors' decay factor now. To end that slip within the instant would take any force.
+    """
+    y, par, cell = parcel.y, parcel.par, parcel.mem[i, at.CELL]
+    for axis in range(2):
+        slip, _ = slip_now(surface, y, par[at.FREE_SPEED], e, cell, axis)
+        if parcel.mem[i, at.BRANCH + axis] == 0 and abs(slip) <= par[at.TOLERANCE]:
+            row[im.SX + axis] -= slip
 
 
 @kernel
@@ -140,7 +190,9 @@ def grasp(surface, parcel, work, law, e, h):
         row[im.LX] = row[im.LY] = 0.0
         row[im.K] = law[im.VISCOUS]
         if law[im.LOCATED] != 0.0:
-            hold_branches(mem, i, row, limit_x, limit_y)
+            hold_branches(mem, i, row, limit_x, limit_y, law[im.SET_VALUED])
+            if law[im.SET_VALUED] != 0.0 and h <= INSTANT:
+                keep_slips(surface, parcel, i, row, e * (1.0 + parcel.par[at.RATE] * h))
         lighten(work, parcel, count, cell, push_x, push_y, h)
         if law[im.VISCOUS] != 0.0:
             row[im.GX] += row[im.K] * row[im.SX]
@@ -260,6 +312,11 @@ def follow(work, count, isotropic, w, scale):
         fx, fy, kxx, _, kyy = pull(row, w, isotropic)
         change += abs(fx - row[im.LX]) + abs(fy - row[im.LY])
         speeds = row[im.SUMMED] + scale
+        # at a limit or not, by rounding: in a step of an instant the weights make a force of it
+        if abs(slip_at(row, w, 0)) <= 8.0 * EPSILON * speeds:
+            kxx = row[im.BX]
+        if abs(slip_at(row, w, 1)) <= 8.0 * EPSILON * speeds:
+            kyy = row[im.BY]
         rounding += EPSILON * (abs(fx) + abs(fy) + (kxx + kyy) * speeds)
         row[im.LX], row[im.LY] = fx, fy
     return change, rounding

@@ -1,0 +1,155 @@
+"""Wheels whose force jumps where their slip ends, as by Coulomb's law: which slip, which stick, and until when.
+
+A wheel that slips pulls with its limit, whichever way the step leads it; one that sticks pulls with what holds it, up to
+its limit. The motion over a step is then smooth until a slip ends, which is a root of the slip (``branches``), or a
+wheel that sticks gives way. The force is continuous there, and a slip begins as the square of time: a step is ended
+where it is as large as is of no account, but larger than rounding, so that the wheel's side is beyond doubt.
+"""
+
+from __future__ import annotations
+
+from plant.kernels.common import implicit_layout as im
+from plant.kernels.common import layout as at
+from plant.kernels.common.branches import leeway, lever, slight, slip_now
+from plant.kernels.common.jit import kernel
+from plant.kernels.implicit.extrapolation import extrapolated
+from plant.kernels.implicit.step import rounded_slip, sign, slip_at
+from plant.kernels.implicit.supports import decay
+
+LARGEST = 10.0
+"""How many times larger than a slip of no account one may be where a step ends because of it, ..."""
+AIM = 3.0
+"""... and how many times larger it is sought to be."""
+LOOKS = 64
+"""So many times is a step that ends there taken at most: bisection alone needs no more."""
+CLOSE = 1e-13
+"""Two ends of a step this near, s, are one."""
+
+
+@kernel
+def settle_slips(surface, parcel, e):
+    """Put wheels that slip by more than the tolerance on their side; what is less, a step's error may have left."""
+    mem, par = parcel.mem, parcel.par
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        cell = mem[i, at.CELL]
+        if mem[i, at.MARK] == at.ACTIVE and surface.grip[cell] != 0.0:
+            for axis in range(2):
+                slip, zero = slip_now(surface, parcel.y, par[at.FREE_SPEED], e, cell, axis)
+                if abs(slip) > max(par[at.TOLERANCE], zero):
+                    mem[i, at.BRANCH + axis] = 1 if slip > 0.0 else -1
+
+
+@kernel
+def give_way(surface, parcel, work):
+    """Put wheels on their side that stuck and, by the step of an instant solved last, don't any more."""
+    mem, row = parcel.mem, at.ZERO
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] != at.ACTIVE or surface.grip[mem[i, at.CELL]] == 0.0:
+            continue
+        wheel = work.wheels[row]
+        row += 1
+        for axis in range(2):
+            slip = slip_at(wheel, work.velocity, axis)
+            if mem[i, at.BRANCH + axis] == 0 and abs(slip) > rounded_slip(wheel, work.velocity):
+                mem[i, at.BRANCH + axis] = 1 if slip > 0.0 else -1
+
+
+@kernel
+def end_slips(surface, parcel, work, count, together, e):
+    """Have wheels stick whose slip ended: those of the events up to ``together``, and all that slip no more."""
+    mem, par = parcel.mem, parcel.par
+    for k in range(count):
+        if work.found[k, at.EV_KIND] == at.SWITCH and work.found[k, at.EV_TIME] <= together:
+            for i in range(parcel.ctl[at.N_MEMBERS]):
+                if mem[i, at.CELL] == int(work.found[k, at.EV_CELL]):
+                    mem[i, at.BRANCH + int(work.found[k, at.EV_EDGE])] = 0
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        for axis in range(2):
+            slip, zero = slip_now(surface, parcel.y, par[at.FREE_SPEED], e, mem[i, at.CELL], axis)
+            if mem[i, at.BRANCH + axis] * slip < -slight(par, zero):
+                mem[i, at.BRANCH + axis] = 0
+
+
+@kernel
+def side_of(parcel, cell, axis):
+    """On which side a member's wheel slips; 0 of one that sticks."""
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        if parcel.mem[i, at.CELL] == cell:
+            return parcel.mem[i, at.BRANCH + axis]
+    return at.ZERO
+
+
+@kernel
+def slip_motion(surface, parcel, work, now, t, cell, axis):
+    """Value and rate, ``t`` seconds into the step that begins ``now``, of the function whose root a slip's end is."""
+    y, par, acceleration = parcel.y, parcel.par, work.before
+    side, e = side_of(parcel, cell, axis), decay(par, now)
+    slip, zero = slip_now(surface, work.begin, par[at.FREE_SPEED], e, cell, axis)
+    zero = leeway(par, slip, zero, side)
+    e = decay(par, now + t)
+    slip, _ = slip_now(surface, y, par[at.FREE_SPEED], e, cell, axis)
+    rate = -par[at.RATE] * e * par[at.FREE_SPEED] * surface.decay[cell, axis]
+    rate -= acceleration[axis] + lever(surface, y, cell, axis) * acceleration[2]
+    # the lever changes as the centre of mass moves
+    rate += y[at.OMEGA] * (y[at.UX] if axis == 1 else -y[at.UY])
+    return side * slip + 2.0 * zero, side * rate
+
+
+@kernel
+def until_one_slips(surface, parcel, work, now, h):
+    """End the step of ``h`` just taken where a wheel that sticks gives way. Returns (status, seconds, attempts).
+
+    Left in ``work.wheels`` is which wheels do, on which side: ``commit_slips`` takes them for it.
+    """
+    low, high, slip, last = 0.0, h, work.first[im.SLIPPED], h
+    older, slip_older = 0.0, 0.0
+    status, attempts = at.MOVING, at.ZERO
+    band = slight(parcel.par, rounded_slip(work.wheels[0], work.velocity)) if slip > 0.0 else 0.0
+    while slip > LARGEST * band and high - low > CLOSE and attempts < LOOKS:
+        t = 0.5 * (low + high)
+        if older > high and slip_older > slip:
+            # the root of the slip is a straight line where it begins
+            a, b = slip_older**0.5, slip**0.5
+            begin = high - b * (older - high) / (a - b)
+            aim = begin + (high - begin) * (AIM * band / slip) ** 0.5
+            if low < aim < high:
+                t = aim
+        status, _ = extrapolated(surface, parcel, work, now, t)
+        attempts += 1
+        if status != at.MOVING:
+            return status, t, attempts
+        last = t
+        if work.first[im.SLIPPED] > band:
+            older, slip_older, high, slip = high, slip, t, work.first[im.SLIPPED]
+        else:
+            low = t
+    if last != high:
+        status, _ = extrapolated(surface, parcel, work, now, high)
+        attempts += 1
+    note_slips(parcel, work, band)
+    return status, high, attempts
+
+
+@kernel
+def note_slips(parcel, work, band):
+    """Keep which wheels that stick slip by more than ``band`` at the end of the step just solved, and on which side."""
+    for row in range(min(parcel.ctl[at.N_MEMBERS], work.wheels.shape[0])):
+        wheel = work.wheels[row]
+        for axis in range(2):
+            slip = slip_at(wheel, work.velocity, axis)
+            slips = wheel[im.CX + axis] > 0.0 and abs(slip) > max(band, rounded_slip(wheel, work.velocity))
+            wheel[im.SIDE_X + axis] = sign(slip) if slips else 0.0
+
+
+@kernel
+def commit_slips(surface, parcel, work):
+    """Put wheels on the side that ``note_slips`` noted."""
+    mem, row = parcel.mem, at.ZERO
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        if mem[i, at.MARK] != at.ACTIVE or surface.grip[mem[i, at.CELL]] == 0.0:
+            continue
+        for axis in range(2):
+            side = work.wheels[row, im.SIDE_X + axis]
+            if side != 0.0 and mem[i, at.BRANCH + axis] == 0:
+                mem[i, at.BRANCH + axis] = 1 if side > 0.0 else -1
+        row += 1
