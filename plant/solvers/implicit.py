@@ -132,6 +132,7 @@ def coefficients(traction: Traction, mass_kg: float, gravity_m_s2: float) -> Flo
     law[implicit_layout.VISCOUS] = traction.viscous / mass_kg
     law[implicit_layout.SET_VALUED] = float(traction.set_valued)
     law[implicit_layout.ISOTROPIC] = float(traction.isotropic)
+    law[implicit_layout.STATIC_RATIO] = traction.static_ratio
     return law
 
 
@@ -173,7 +174,7 @@ def locate(
     if effects.wheel_load is not None:
         return
     if traction.set_valued:
-        if not traction.isotropic and traction.static_ratio == 1.0:
+        if not traction.isotropic:
             # no slip is within the limit: each wheel sticks, or slips one way
             parcel.par[[layout.LIMIT, layout.LIMIT_PER_SHARE]] = 0.0
             parcel.par[layout.FREE_SPEED] = traction.free_speed

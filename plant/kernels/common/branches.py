@@ -5,9 +5,9 @@ Force is continuous where branches meet, so it matters little on which of the tw
 wheel keeps its branch until it is past it by more than rounding, and which side the motion takes decides. Loads jump
 with the support set, so every change of it asks all wheels again.
 
-A law without resistance (``jumps``) has no branch between the limits but no slip at all: a wheel there sticks. The force
-jumps where the slip ends, which is located here; where a wheel that sticks gives way is no root of the slip, and is
-located by the solver that knows the forces of such wheels.
+Where the resistance is infinite (``jumps``) a wheel between its limits sticks. The force jumps where a slip ends, which
+is located here; where a wheel that sticks gives way is no root of the slip, and is located by the solver that knows the
+forces of such wheels.
 """
 
 from __future__ import annotations

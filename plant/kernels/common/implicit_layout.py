@@ -21,7 +21,8 @@ VISCOUS: Final = 8  # 1/s, by slip, beside the limited part and without a limit
 WHEEL: Final = 9  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
 LOCATED: Final = 10  # 1 where each wheel's branch of the law is held over a step, and its changes are located
 CAPTURES: Final = 11  # 1 where chatter is replaced by motion along its surface
-LAW_SIZE: Final = 12
+STATIC_RATIO: Final = 12  # limit of a wheel that sticks over that of one that slips
+LAW_SIZE: Final = 13
 
 # ── pace: float64 settings and memory of one parcel
 GYRATION: Final = 0  # m
@@ -40,8 +41,8 @@ AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED, SIDE_X, SIDE_Y = rang
 """Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b`` and ``c`` along each axis, equal
 where both axes share one limit; multipliers L. Forces without a limit are ``G - K v``: the law's push and viscous part,
 and other resistance to the underside's motion. ``SUMMED`` is the size of the terms that the free speeds are sums of:
-they may cancel, their rounding does not. ``SIDE_X`` and ``SIDE_Y`` are 1 or -1 where the wheel, which sticks as the step
-begins, slips that way at its end, else 0."""
+they may cancel, their rounding does not. ``SIDE_X`` and ``SIDE_Y`` are 1 or -1 where the wheel sticks
+as the step begins and slips that way at its end, else 0."""
 WHEEL_SIZE: Final = 16
 
 # ── first: float64 findings about a step: the change of velocity in its first part, then

@@ -8,6 +8,9 @@ more than the static limit. The force is then no gradient of a potential, but ea
 are convex, each wheel with the limit of what it does: those that would slip beyond the static limit are let go, those
 whose slip turned round are held, and the step is solved again until neither happens. In one step a wheel is caught at
 most once and then let go at most once, and a wheel that was let go is not caught, so the sequence ends.
+
+Controlled steps on wheels that slip independently need none of this: ``plant.kernels.implicit.slips`` has them end
+before a wheel lets go.
 """
 
 from __future__ import annotations
@@ -37,8 +40,10 @@ def _own(surface, i):
 
 
 @implements(commit_grips, "stiction", own=True)
-def _commit(surface, count):
+def _commit(surface, work, count):
     of = surface.stiction
+    if work.law[im.LOCATED] != 0.0:
+        return
     copy(of.found, of.grips, count)
     of.counts[0] = count
 
@@ -46,6 +51,8 @@ def _commit(surface, count):
 @implements(keep_grips, "stiction", own=True)
 def _keep(surface, parcel, work, e):
     of, free = surface.stiction, work.law[im.FREE_SPEED]
+    if work.law[im.LOCATED] != 0.0:
+        return
     look_up(of, work.where)
     count = 0
     for i in range(parcel.ctl[at.N_MEMBERS]):
@@ -68,8 +75,10 @@ def _keep(surface, parcel, work, e):
 
 
 @implements(restore_grips, "stiction", own=True)
-def _restore(surface):
+def _restore(surface, work):
     of = surface.stiction
+    if work.law[im.LOCATED] != 0.0:
+        return
     copy(of.begun, of.grips, of.counts[1])
     of.counts[0] = of.counts[1]
 
@@ -222,6 +231,12 @@ def turn_all(of, work, count, isotropic, w):
 @implements(find_velocity, "stiction", own=True)
 def _find(surface, parcel, work, count, h, w):
     of, isotropic = surface.stiction, work.law[im.ISOTROPIC]
+    if work.law[im.LOCATED] != 0.0:
+        # the step's begin says which wheels stick, and its end comes before one of them lets go
+        for i in range(count):
+            work.wheels[i, im.CX] *= of.ratio
+            work.wheels[i, im.CY] *= of.ratio
+        return new_velocity(work, count, work.law, h, w)
     recall(surface, parcel, work, isotropic)
     for _ in range(4 * count + 1):
         if not new_velocity(work, count, work.law, h, w):

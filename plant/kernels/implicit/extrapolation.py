@@ -102,7 +102,7 @@ def cut(surface, parcel, work, now, h, parts):
     for k in range(6):
         y[k] = work.begin[k]
     take_back(work)
-    restore_grips(surface)
+    restore_grips(surface, work)
     work.first[im.SLIPPED] = 0.0
     for j in range(parts):
         status = supports_here(surface, parcel, work)
@@ -110,7 +110,7 @@ def cut(surface, parcel, work, now, h, parts):
             return status
         status, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
         slow(work, parcel, pulling, part)
-        commit_grips(surface, pulling)
+        commit_grips(surface, work, pulling)
         if parts == PARTS and work.law[im.LOCATED] != 0.0 and work.law[im.SET_VALUED] != 0.0:
             work.first[im.SLIPPED] = max(work.first[im.SLIPPED], largest_slip(work, pulling))
         if j == 0:

@@ -44,6 +44,7 @@ from plant.kernels.implicit.slips import (
     commit_slips,
     end_slips,
     give_way,
+    rest_slips,
     settle_slips,
     slip_motion,
     until_one_slips,
@@ -236,7 +237,7 @@ def take_to(surface, parcel, work, now, h, count, first, left):
         t = min(t + LATE, h)
     if t == 0.0:
         take_back(work)
-        restore_grips(surface)
+        restore_grips(surface, work)
         return at.MOVING, 0.0
     status, _ = extrapolated(surface, parcel, work, now, t)
     if status == at.MOVING and not finite(y):
@@ -360,8 +361,9 @@ def step(surface, parcel, work, now, left, events):
     keep(work)
     keep_grips(surface, parcel, work, decay(parcel.par, now))
     accelerate(surface, parcel, work, now, work.begun)
-    if slips:
-        give_way(surface, parcel, work)
+    while slips and give_way(surface, parcel, work):
+        # a wheel that slips may pull with less than it held, and others give way in turn
+        accelerate(surface, parcel, work, now, work.begun)
     most = look_ahead(surface, parcel, work, now, left)
     status, h, attempts = controlled(surface, parcel, work, now, most, at.ZERO)
     if status == at.MOVING and not finite(y):
@@ -382,6 +384,7 @@ def step(surface, parcel, work, now, left, events):
             for k in range(6):
                 y[k] = work.end[k]
             if slips:
+                rest_slips(surface, parcel, work, now, h)
                 commit_slips(surface, parcel, work)
     if status != at.MOVING:
         if status != at.TIPPED:

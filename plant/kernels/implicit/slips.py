@@ -1,9 +1,10 @@
 """Wheels whose force jumps where their slip ends, as by Coulomb's law: which slip, which stick, and until when.
 
-A wheel that slips pulls with its limit, whichever way the step leads it; one that sticks pulls with what holds it, up to
-its limit. The motion over a step is then smooth until a slip ends, which is a root of the slip (``branches``), or a
-wheel that sticks gives way. The force is continuous there, and a slip begins as the square of time: a step is ended
-where it is as large as is of no account, but larger than rounding, so that the wheel's side is beyond doubt.
+A wheel that slips pulls with its limit, whichever way the step leads it; one that sticks pulls with what holds it, up
+to its limit. The motion over a step is then smooth until a slip ends, which is a root of the slip (``branches``), or a
+wheel that sticks gives way. The force is continuous there: a step is ended where the slip is as large as is of no
+account, but larger than rounding, so that the wheel's side is beyond doubt. Where the static limit exceeds the kinetic
+one the force falls, and the step is ended where the slip begins.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ AIM = 3.0
 """... and how many times larger it is sought to be."""
 LOOKS = 64
 """So many times is a step that ends there taken at most: bisection alone needs no more."""
+NEAR = 1e-5
+"""In a step this short, s, it is known well enough when a wheel gives way whose force then falls; ..."""
+SHARE = 0.05
+"""... of a longer one this share is left to shorter ones."""
 CLOSE = 1e-13
 """Two ends of a step this near, s, are one."""
 
@@ -41,8 +46,8 @@ def settle_slips(surface, parcel, e):
 
 @kernel
 def give_way(surface, parcel, work):
-    """Put wheels on their side that stuck and, by the step of an instant solved last, don't any more."""
-    mem, row = parcel.mem, at.ZERO
+    """Put wheels on their side that stuck and, by the step of an instant solved last, don't. Returns whether any."""
+    mem, row, any_did = parcel.mem, at.ZERO, False
     for i in range(parcel.ctl[at.N_MEMBERS]):
         if mem[i, at.MARK] != at.ACTIVE or surface.grip[mem[i, at.CELL]] == 0.0:
             continue
@@ -52,6 +57,8 @@ def give_way(surface, parcel, work):
             slip = slip_at(wheel, work.velocity, axis)
             if mem[i, at.BRANCH + axis] == 0 and abs(slip) > rounded_slip(wheel, work.velocity):
                 mem[i, at.BRANCH + axis] = 1 if slip > 0.0 else -1
+                any_did = True
+    return any_did
 
 
 @kernel
@@ -68,6 +75,20 @@ def end_slips(surface, parcel, work, count, together, e):
             slip, zero = slip_now(surface, parcel.y, par[at.FREE_SPEED], e, mem[i, at.CELL], axis)
             if mem[i, at.BRANCH + axis] * slip < -slight(par, zero):
                 mem[i, at.BRANCH + axis] = 0
+
+
+@kernel
+def rest_slips(surface, parcel, work, now, h):
+    """Have wheels stick that didn't slip where the step just taken began, nor do where it ends."""
+    mem, par = parcel.mem, parcel.par
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        cell = mem[i, at.CELL]
+        for axis in range(2):
+            if mem[i, at.BRANCH + axis] != 0:
+                first, zero = slip_now(surface, work.begin, par[at.FREE_SPEED], decay(par, now), cell, axis)
+                last, _ = slip_now(surface, parcel.y, par[at.FREE_SPEED], decay(par, now + h), cell, axis)
+                if max(abs(first), abs(last)) <= slight(par, zero):
+                    mem[i, at.BRANCH + axis] = 0
 
 
 @kernel
@@ -106,14 +127,10 @@ def until_one_slips(surface, parcel, work, now, h):
     status, attempts = at.MOVING, at.ZERO
     band = slight(parcel.par, rounded_slip(work.wheels[0], work.velocity)) if slip > 0.0 else 0.0
     while slip > LARGEST * band and high - low > CLOSE and attempts < LOOKS:
-        t = 0.5 * (low + high)
-        if older > high and slip_older > slip:
-            # the root of the slip is a straight line where it begins
-            a, b = slip_older**0.5, slip**0.5
-            begin = high - b * (older - high) / (a - b)
-            aim = begin + (high - begin) * (AIM * band / slip) ** 0.5
-            if low < aim < high:
-                t = aim
+        begin = beginning(older, slip_older, high, slip)
+        t = begin + (high - begin) * AIM * band / slip
+        if begin < 0.0 or not low < t < high:
+            t = 0.5 * (low + high)
         status, _ = extrapolated(surface, parcel, work, now, t)
         attempts += 1
         if status != at.MOVING:
@@ -127,7 +144,26 @@ def until_one_slips(surface, parcel, work, now, h):
         status, _ = extrapolated(surface, parcel, work, now, high)
         attempts += 1
     note_slips(parcel, work, band)
+    begin = beginning(older, slip_older, high, slip)
+    if work.law[im.STATIC_RATIO] > 1.0 and low < begin < high:
+        # the parts of a long step are wrong by more than is asked of the time at which a force falls
+        high = begin if begin <= NEAR else (1.0 - SHARE) * begin
+        status, _ = extrapolated(surface, parcel, work, now, high)
+        attempts += 1
+        if begin > NEAR:
+            note_slips(parcel, work, band)
     return status, high, attempts
+
+
+@kernel
+def beginning(later, slip_later, sooner, slip_sooner):
+    """When a slip that is known at two times, s, begins; -1 if that can't be told.
+
+    In the last part of a step it grows in proportion to what the step exceeds that time by.
+    """
+    if not (later > sooner and slip_later > slip_sooner > 0.0):
+        return -1.0
+    return sooner - slip_sooner * (later - sooner) / (slip_later - slip_sooner)
 
 
 @kernel

@@ -14,7 +14,7 @@ def find_velocity(surface, parcel, work, count, h, w):
     """Velocity after a step of ``h`` on the ``count`` wheels listed, into ``w``. Returns whether it was found."""
 
 
-def commit_grips(surface, count):
+def commit_grips(surface, work, count):
     """Take how the ``count`` wheels of the step just solved hold the parcel at its end."""
 
 
@@ -22,7 +22,7 @@ def keep_grips(surface, parcel, work, e):
     """Keep how wheels hold the parcel where a step begins; ``e`` is the motors' decay factor then."""
 
 
-def restore_grips(surface):
+def restore_grips(surface, work):
     """Have wheels hold the parcel as they did where the step began."""
 
 
@@ -32,7 +32,7 @@ def _one_limit(_surface, _parcel, work, count, h, w):
 
 
 @implements(commit_grips, "stiction", own=False)
-def _nothing_to_commit(_surface, _count):
+def _nothing_to_commit(_surface, _work, _count):
     return
 
 
@@ -42,5 +42,5 @@ def _nothing_to_keep(_surface, _parcel, _work, _e):
 
 
 @implements(restore_grips, "stiction", own=False)
-def _nothing_to_restore(_surface):
+def _nothing_to_restore(_surface, _work):
     return
