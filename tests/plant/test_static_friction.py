@@ -10,11 +10,12 @@ from scipy.optimize import brentq
 from plant.effects.motors import MotorsSpec
 from plant.effects.parcel_contact.bodies import corner_pulls
 from plant.friction.coulomb import Coulomb
+from plant.kernels.common import layout
 from plant.kernels.contact import layout as contact_layout
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
 from tests.plant.laws import COULOMB, MU
-from tests.plant.scenes import SECOND, TICK_NS, Floats, G, parcel, solved
+from tests.plant.scenes import SECOND, TICK_NS, Floats, G, elliptic, parcel, solved
 
 STATIC = 0.45
 TAU = 0.1
@@ -171,9 +172,10 @@ def test_a_parcel_slides_as_under_one_coefficient_and_does_not_creep_where_it_st
 
 
 @pytest.mark.slow
-def test_a_solver_that_goes_back_remembers_which_wheels_held() -> None:
+@pytest.mark.parametrize("steps", STEPS, ids=["controlled", "fixed"])
+def test_a_solver_that_goes_back_remembers_which_wheels_held(steps: dict[str, object]) -> None:
     body = parcel(size_m=(0.46, 0.34), position_m=(-0.1, 0.02), angle_rad=0.3, angular_velocity_rad_s=1.0)
-    plant = held(body, static=2.0 * MU, motors=False)
+    plant = held(body, static=2.0 * MU, motors=False, steps=steps)
     turning = plant.array.positions_m @ np.array([[0.0, 0.5], [-0.5, 0.0]])
 
     def on(count: int) -> bytes:
@@ -183,14 +185,31 @@ def test_a_solver_that_goes_back_remembers_which_wheels_held() -> None:
 
     on(2)
     snapshot = plant._solver.snapshot(np.array([0]))
-    grips = plant._solver._stiction.grips  # type: ignore[attr-defined]
-    kept = grips.copy()
-    assert set(kept[0, :, 1:].ravel().tolist()) == {-1, 0, 1}
+    # where steps end when a wheel lets go, the law's branches say which hold; elsewhere grips do
+    if "step_s" in steps:
+        holds = plant._solver._stiction.grips[:, :, 1:]  # type: ignore[attr-defined]
+    else:
+        holds = plant._solver.packed.mem[:, layout.BRANCH : layout.BRANCH + 2]  # type: ignore[attr-defined]
+    kept = holds.copy()
+    assert set(kept.ravel().tolist()) == {-1, 0, 1}
     first = on(20)
-    assert not np.array_equal(grips, kept)
+    assert not np.array_equal(holds, kept)
     plant._solver.restore(snapshot)
-    assert np.array_equal(grips, kept)
+    assert np.array_equal(holds, kept)
     assert on(20) == first
+
+
+@pytest.mark.slow
+def test_steps_end_where_wheels_let_go_instead_of_shrinking() -> None:
+    """Wheels that pull against each other, some forty that stick or slip in turn."""
+    body = parcel(velocity_m_s=(0.1, -0.05), angular_velocity_rad_s=0.5)
+    ends: list[Floats] = []
+    for tolerance in (1e-6, 1e-8):
+        plant = held(body, motors=False, steps={"tolerance": tolerance}, rows=20, columns=20)
+        plant.advance(elliptic(plant), SECOND // 2)
+        assert plant.effort < 1000
+        ends.append(plant.state[0])
+    assert ends[0] == pytest.approx(ends[1], abs=1e-6)
 
 
 def test_a_static_coefficient_is_at_least_the_kinetic_one() -> None:

@@ -1,0 +1,59 @@
+"""Random scenes of one parcel that slips and sticks under ``coulomb`` on nine cells, and the reference's ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from plant.plant import Plant
+from tests.plant.filippov import Filippov
+from tests.plant.laws import COULOMB, MU
+from tests.plant.scenes import SECOND, Floats, bench, parcel, solved
+
+SPAN_S = 0.5
+RADIUS_M = 0.36
+"""Of the parcels here, at most."""
+
+
+def make_scene(seed: int, solver: dict[str, Any]) -> tuple[Plant, Floats]:
+    """A parcel on nine cells, sliding and turning, and random speeds of their wheels."""
+    draw = np.random.default_rng([seed, 7])
+    body = parcel(
+        size_m=tuple(draw.uniform(0.36, 0.5, 2)),
+        position_m=tuple(draw.uniform(-0.03, 0.03, 2)),
+        angle_rad=draw.uniform(0.0, 6.0),
+        velocity_m_s=tuple(draw.uniform(-0.3, 0.3, 2)),
+        angular_velocity_rad_s=draw.uniform(-4.0, 4.0),
+    )
+    plant = solved(solver, body, law=COULOMB, rows=3, columns=3, pitch_m=0.16)
+    return plant, draw.uniform(-0.3, 0.3, (9, 2))
+
+
+def solve_reference(seed: int) -> tuple[Filippov, Floats]:
+    """The event-driven solution of a scene, and the parcel's state at its end.
+
+    Raises:
+        LiftedError: a support is lifted, which the reference doesn't know.
+    """
+    plant, drives = make_scene(seed, {"name": "implicit"})
+    reference = Filippov(bench(plant, drives, mu=MU))
+    return reference, reference.run(plant.state[0], SPAN_S)
+
+
+def controlled(tolerance: float) -> dict[str, Any]:
+    """Settings of ``implicit`` at a tolerance, chatter captured within a tenth of it."""
+    return {"name": "implicit", "tolerance": tolerance, "capture_m": 0.1 * tolerance}
+
+
+def distance_m(plant: Plant, known: Floats) -> float:
+    """How far the parcel is from a known state at the footprint, m."""
+    off = np.abs(plant.state[0] - known)
+    return float(np.hypot(off[0], off[1]) + RADIUS_M * off[2])
+
+
+def off_m(seed: int, solver: dict[str, Any], known: Floats) -> float:
+    """How far from the reference a solver ends at the footprint, m."""
+    plant, drives = make_scene(seed, solver)
+    plant.advance(drives, round(SPAN_S * SECOND))
+    return distance_m(plant, known)
