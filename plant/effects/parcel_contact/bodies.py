@@ -280,6 +280,7 @@ class ContactWorkspace(NamedTuple):
         held: marks of pairs held by friction, ``(k,)``.
         opens: opening speeds of pairs, ``(k,)``.
         pushed: impulses of each pair in the last step, two along the normal and one across, ``(3 k,)``.
+        shifted: the same of the last problem of places or of an impact, ``(3 k,)``.
         first: ``(b, 3)``.
         second: ``(b, 3)``.
         third: ``(b, 3)``.
@@ -293,6 +294,7 @@ class ContactWorkspace(NamedTuple):
     held: Integers
     opens: Floats
     pushed: Floats
+    shifted: Floats
     first: Floats
     second: Floats
     third: Floats
@@ -310,6 +312,7 @@ def make_workspace(group: Group) -> ContactWorkspace:
         np.zeros(pairs, dtype=np.int64),
         np.zeros(pairs),
         np.zeros(3 * pairs),
+        shifted=np.zeros(3 * pairs),
         first=np.zeros((bodies, 3)),
         second=np.zeros((bodies, 3)),
         third=np.zeros((bodies, 3)),

@@ -23,6 +23,8 @@ Integers = NDArray[np.int64]
 
 LOCATED_S: Final = 1e-9
 """An instant is located to this, where the gap isn't below `TOUCH_M` before."""
+BEFORE_S: Final = 1e-12
+"""Length of an interval before an overlap whose start is taken as the contact: nothing overlaps there yet."""
 SHORTEST_S: Final = 1e-13
 """No interval is divided that is as short as this."""
 PARTS: Final = 8
@@ -87,9 +89,18 @@ class ContactSearch:
             # earlier instants are of no use any more, and would be copied at each division
             self.times, self.states, start = self.times[start:], self.states[start:], 0
             pair, span = int(pairs[which]), self.times[1] - self.times[0]
-            space = self.gap(start + 1, pair)
-            if space <= TOUCH_M and ((space > 0.0 and span <= LOCATED_S) or span <= SHORTEST_S):
-                return Turn(start + 1, pair)
+            space = self.gap(1, pair)
+            if 0.0 < space <= TOUCH_M and span <= LOCATED_S:
+                return Turn(1, pair)
+            if (
+                space <= 0.0
+                and span <= BEFORE_S
+                and self.times[0] > 0.0
+                and 0.0 < self.gap(0, pair) <= TOUCH_M
+            ):
+                return Turn(0, pair)
+            if space <= TOUCH_M and span <= SHORTEST_S:
+                return Turn(1, pair)
             if span <= SHORTEST_S:
                 start += 1  # nothing that lasts
             else:

@@ -7,7 +7,8 @@ velocities lose what would take bodies into each other, with friction; what push
 even over the step would have; and what overlap is left is taken out of the places
 (``plant.kernels.contact.resting``). Both
 corrections are the least ones in the metric of the masses: the first takes energy and never adds any, and neither moves
-the common centre of mass.
+the common centre of mass. Bodies shifted apart pass each other more slowly, so that angular momentum is kept
+(``plant.kernels.contact.momentum``).
 """
 
 from __future__ import annotations

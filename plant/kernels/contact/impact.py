@@ -58,7 +58,9 @@ def strike(group, work, begin, end, before, restitution, friction, after):
             -leaving(row, before[ends[n, 0]], before[ends[n, 1]]), restitution, group.slow
         )
         row[to.FRICTION] = friction
-    error = settle(rows[begin:end], ends[begin:end], work, group.inverse, after, SOLVED, ACCEPTED, False)
+    error = settle(
+        rows[begin:end], ends[begin:end], work, group.inverse, after, SOLVED, ACCEPTED, work.shifted, False
+    )
     work.left[to.ERROR] = max(work.left[to.ERROR], error)
 
 

@@ -152,7 +152,7 @@ def slot(ends, begin, count, c, island):
 
 
 @kernel
-def settle(rows, ends, work, inverse, motion, enough, accepted, remembered):
+def settle(rows, ends, work, inverse, motion, enough, accepted, pushed, warm):
     """Solve the contact problems of all islands, and change ``motion`` by their impulses.
 
     Args:
@@ -163,7 +163,8 @@ def settle(rows, ends, work, inverse, motion, enough, accepted, remembered):
         motion: ``(b, 3)`` along x, along y, turning; changed in place.
         enough: error, over the fastest motion, at which the search ends.
         accepted: the same, above which another attempt is made.
-        remembered: whether attempts begin with the impulses of the last such problem, and these are kept for the next.
+        pushed: ``(3 k,)`` impulses of each pair that has rows: written.
+        warm: whether attempts begin with the impulses in ``pushed``.
 
     Returns:
         The largest error left in an island that counts as not solved, as a motion; 0 if all are.
@@ -173,15 +174,15 @@ def settle(rows, ends, work, inverse, motion, enough, accepted, remembered):
         end = island.until[island.island[k]]
         points, faces = end - begin, number_faces(ends, begin, end, island)
         scale = assemble(rows, ends, island.row[begin:end], faces, inverse, motion, island)
+        for c in range(points + faces):
+            island.impulse[c] = pushed[slot(ends, begin, points, c, island)] if warm and scale > 0.0 else 0.0
         if scale > 0.0:
-            for c in range(points + faces):
-                island.impulse[c] = work.pushed[slot(ends, begin, points, c, island)] if remembered else 0.0
             error = solve_island(points, faces, scale, enough, accepted, inverse, island)
             apply_impulses(points, faces, island.impulse, inverse, motion, island)
-            for c in range(points + faces if remembered else 0):
-                work.pushed[slot(ends, begin, points, c, island)] = island.impulse[c]
             if error > UNSETTLED * scale:
                 worst = max(worst, error)
             island.tally[to.PROBLEMS] += 1
+        for c in range(points + faces):
+            pushed[slot(ends, begin, points, c, island)] = island.impulse[c]
         begin = end
     return worst

@@ -10,6 +10,7 @@ from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
 from plant.kernels.contact.impulses import ACCEPTED, SOLVED, leaving, settle, sliding
 from plant.kernels.contact.manifold import build_rows, move_row
+from plant.kernels.contact.momentum import keep_angular_momentum
 
 KEEP_M: Final = 0.5 * to.TOUCH_M
 """Space left between bodies that press on each other: they never overlap, not even by rounding."""
@@ -25,6 +26,8 @@ HELD_ROUNDS: Final = 3
 """Rounds in which slip counts: parcels that hold each other all round may ask for what can't be."""
 STANDS_M_S: Final = 1e-9
 """What slides more slowly, and is held by friction, stands."""
+WHOLE: Final = 1.0
+"""Shift of places, times mass, per impulse of their problem."""
 
 
 @kernel
@@ -82,7 +85,8 @@ def pressed(group, before, states, step, friction, work):
 def hold(group, before, states, step, friction, work):
     """Correct velocities and places after a free step of pairs that stay together.
 
-    What pushed acts on places as a force even over the step would have. What friction held has not slid.
+    What pushed acts on places as a force even over the step would have. What friction held has not slid. Linear and
+    angular momentum of bodies that touch no standing body stay.
 
     Args:
         group: ``plant.effects.parcel_contact.bodies.Group``.
@@ -97,12 +101,15 @@ def hold(group, before, states, step, friction, work):
     for i in range(states.shape[0]):
         for k in range(3):
             motion[i, k] = states[i, 3 + k]
-    error = settle(rows[:count], ends[:count], work, group.inverse, motion, SOLVED, ACCEPTED, True)
+    error = settle(
+        rows[:count], ends[:count], work, group.inverse, motion, SOLVED, ACCEPTED, work.pushed, True
+    )
     work.left[to.ERROR] = max(work.left[to.ERROR], error)
     for i in range(states.shape[0]):
         for k in range(3):
             states[i, k] += 0.5 * step * (motion[i, k] - states[i, 3 + k])
             states[i, 3 + k] = motion[i, k]
+    keep_angular_momentum(count, 0.5 * step, work.pushed, states, group.inverse, work)
     for p in range(held.shape[0]):
         held[p] = 0
     for n in range(count):
@@ -139,8 +146,8 @@ def slipped(row, before_i, now_i, before_j, now_j):
 def part(group, before, states, work):
     """Take overlap out of places, and slip since ``before`` out of the pairs held; changes ``states``.
 
-    Shifts are the least in the metric of the masses: the common centre of mass of what moves stays. Overlap that is
-    left is noted in ``work.left``.
+    Shifts are the least in the metric of the masses: the common centre of mass of what moves stays. Velocities change
+    as far as the angular momentum requires. Overlap that is left is noted in ``work.left``.
     """
     rows, ends, shift = work.rows, work.ends, work.second
     least = at.NOTHING
@@ -165,8 +172,9 @@ def part(group, before, states, work):
         for i in range(states.shape[0]):
             for k in range(3):
                 shift[i, k] = 0.0
-        settle(rows[:count], ends[:count], work, group.inverse, shift, SHIFTED, PLACED, False)
+        settle(rows[:count], ends[:count], work, group.inverse, shift, SHIFTED, PLACED, work.shifted, False)
         for i in range(states.shape[0]):
             for k in range(3):
                 states[i, k] += shift[i, k]
+        keep_angular_momentum(count, WHOLE, work.shifted, states, group.inverse, work)
     work.left[to.OVERLAP] = max(work.left[to.OVERLAP], -least)
