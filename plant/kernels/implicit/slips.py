@@ -157,9 +157,9 @@ def until_one_slips(surface, parcel, work, now, h):
 
 @kernel
 def beginning(later, slip_later, sooner, slip_sooner):
-    """When a slip that is known at two times, s, begins; -1 if that can't be told.
+    """Time, s, at which a slip begins that is known at two later times; -1 if that can't be told.
 
-    In the last part of a step it grows in proportion to what the step exceeds that time by.
+    In the last part of a step a slip grows in proportion to the time since.
     """
     if not (later > sooner and slip_later > slip_sooner > 0.0):
         return -1.0
