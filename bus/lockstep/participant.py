@@ -28,8 +28,6 @@ from bus.wire.frames import Control, DriveFrame, LinkFrame, Mask
 from bus.wire.keys import plant_key, shard_key
 
 _POLL_S: Final = 0.01
-_LINK_POLL_S: Final = 0.001
-"""Polling interval for messages that arrive after the senses, wall seconds."""
 _ANSWER_S: Final = 1.0
 """Time that a shard whose cells have all failed waits for the plant's answer, wall seconds."""
 _LEAVE_S: Final = 5.0
@@ -257,10 +255,9 @@ class Participant:
             if control.plant_lost:
                 raise CoordinatorLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
             left = max(min(limits) - self._clock(), 0.0) if limits else None
-            if not waits:
-                # Messages after the senses wake nobody.
-                left = _LINK_POLL_S if left is None else min(left, _LINK_POLL_S)
-            if not read(left, max(sense.missing, 1)) and left == 0:
+            # Messages end no wait for senses. One that comes after the senses is waited for by its key.
+            key = None if waits else self._incoming.awaited_key(tick - 1)
+            if not read(left, max(sense.missing, 1), key) and left == 0:
                 if until == min(limits):
                     return None
                 raise CoordinatorLostError(

@@ -217,13 +217,13 @@ class Dispatcher:
         self._counts = counts
         self._tokens = tokens
 
-    def poll(self, timeout_s: float | None, enough: int = 1) -> bool:
-        """Wait for events as ``Endpoint.receive`` does, and handle all of them; return whether there were any.
+    def poll(self, timeout_s: float | None, enough: int = 1, quiet_key: str | None = None) -> bool:
+        """Wait for events as ``Endpoint.receive_all`` does, and handle all of them; return whether there were any.
 
         Raises:
             WaitInterrupted: ``Endpoint.wake`` was called; all other events have been handled.
         """
-        events = self._receive(timeout_s, min(enough, BATCH))
+        events = self._receive(timeout_s, min(enough, BATCH), quiet_key)
         wakeups = 0
         for event in events:
             if type(event) is Received:

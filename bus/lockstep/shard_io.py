@@ -57,6 +57,7 @@ class InboundFrames:
         self._counts = counts
         self._cells = wiring.partition.cells(shard)
         self._speaks = wiring.message is not None
+        self._link_keys = tuple(form.in_parts)
         self._first = 0
         self._senses = FrameAssembler("sense", form.blank_senses, form.decode_sense, counts)
         self._links = FrameAssembler("link", form.blank_links, form.decode_link, counts)
@@ -126,6 +127,10 @@ class InboundFrames:
         self._links.update_membership(
             [min(source, target - 1) for source, target in zip(sources, targets, strict=True)]
         )
+
+    def awaited_key(self, tick: int) -> str:
+        """Return a key on which a message sent in ``tick`` is missing."""
+        return self._link_keys[self._links.missing(tick)[0]]
 
     @property
     def awaited(self) -> int:

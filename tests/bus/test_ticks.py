@@ -162,6 +162,25 @@ def test_an_early_frame_is_stored_until_its_tick(memory: Network, form: WireForm
     assert system.host.counters.late == 0
 
 
+def test_a_message_that_comes_after_the_senses_ends_the_wait_for_it(network: Network) -> None:
+    system = System(network, Partition.each(grid(1, 2)), "per_cell", message=MESSAGE).start()
+    one, other = system.members
+    step(system, 0)
+    system.host.publish(system.sense(1))
+    links = system.links(0, 1)
+    gathered(one.gather(1))
+    gathered(other.gather(1))
+    other.publish(system.drive(1, 1), system.links(1, 1))
+    system.host.publish(system.sense(2))
+    later = threading.Timer(0.2, lambda: one.publish(system.drive(0, 1), links))
+    later.start()
+    _, received = gathered(other.gather(2))  # the senses are there, the neighbour's message comes
+    later.join()
+    assert links is not None
+    assert received is not None
+    assert (received.tick, received.message.tolist()) == (1, links.message.tolist())
+
+
 @both_forms
 def test_a_frame_of_a_tick_that_is_over_is_counted_as_late(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.each(grid(1, 1)), form).start()
