@@ -45,7 +45,7 @@ class Participant:
         endpoint: The endpoint of the shard's process.
         partition: Partition of the cells into shards; the same on all sides.
         shard: Number of the shard.
-        form: ``"packed"`` or ``"per_cell"``; the same on all sides.
+        form: Name of the wire format; the same on all sides.
         run: Name of the run.
         readings: Contents of sense frames.
         message: The firmware's message type; None for firmware without messages.
@@ -105,7 +105,7 @@ class Participant:
         token, control = plant_key(run, "alive"), plant_key(run, "control")
         self._control = ControlState(partition.lattice, self._membership, token, self.counters)
         self.drain_faults: Callable[[], list[Control]] = self._control.drain_faults
-        self._inbox = Dispatcher(endpoint, self.counters, self._control.handle_token)
+        self._inbox = Dispatcher(endpoint, partition, self.counters, self._control.handle_token)
         self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._control.handle, 0)}
         endpoint.subscribe(control, "urgent")
         self._reports = ReportPublisher(
@@ -200,7 +200,7 @@ class Participant:
             links: Those messages; None where the firmware has none.
         """
         if links is not None:
-            self._endpoint.put_all(self._outgoing.encode_links(links))
+            self._endpoint.put_all(self._outgoing.encode_again(links))
         if self._membership.none_live(self._tick):
             self._reports.publish_counters(self._tick)
 
@@ -326,6 +326,11 @@ class Participant:
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Mark ``cells`` (indices in the lattice) as dead from ``tick`` on; their process may rejoin."""
         self._membership.mark_dead(cells, tick)
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether no cell of the run ever died: masks of live cells can be skipped."""
+        return self._membership.unchanged
 
     def live(self, tick: int) -> Mask:
         """Return the mask of the shard's cells that are live in ``tick``, ``(n,)``."""

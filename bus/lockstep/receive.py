@@ -8,6 +8,7 @@ from typing import Any, Final, final
 from bus.errors import WaitInterrupted, WireError
 from bus.lattice import NO_TICK_LIMIT
 from bus.lockstep.counters import MessageCounters
+from bus.partition import Partition
 from bus.transports.base import Endpoint, LivelinessChange, Received
 from bus.wire.keys import owner_of
 
@@ -202,6 +203,7 @@ class Dispatcher:
 
     Args:
         endpoint: Endpoint to receive from.
+        partition: Partition of the cells into shards.
         counts: Counters of refused payloads.
         tokens: Handler of token changes.
 
@@ -210,8 +212,13 @@ class Dispatcher:
     """
 
     def __init__(
-        self, endpoint: Endpoint, counts: MessageCounters, tokens: Callable[[LivelinessChange], None]
+        self,
+        endpoint: Endpoint,
+        partition: Partition,
+        counts: MessageCounters,
+        tokens: Callable[[LivelinessChange], None],
     ) -> None:
+        self._partition = partition
         self.routes: dict[str, Route] = {}
         self._receive = endpoint.receive_all
         self._counts = counts
@@ -233,7 +240,7 @@ class Dispatcher:
                 except WireError as error:
                     # A stranger may invent keys without end; they are one.
                     known = take is not _refuse
-                    self._counts.refuse(error, owner_of(event.key) if known else "nobody")
+                    self._counts.refuse(error, owner_of(event.key, self._partition) if known else "nobody")
             elif type(event) is LivelinessChange:
                 self._tokens(event)
             else:
