@@ -163,11 +163,12 @@ class _Agent:
             if isinstance(inputs, Control):
                 break
             self._apply_faults()
-            before, live = live, self._member.live(tick)
             try:
-                if (live != before).any():
-                    cells = zip(self._shard.cells, live, strict=True)
-                    self._shard.retire(cell for cell, lives in cells if not lives)
+                if not self._member.unchanged:
+                    before, live = live, self._member.live(tick)
+                    if (live != before).any():
+                        cells = zip(self._shard.cells, live, strict=True)
+                        self._shard.retire(cell for cell, lives in cells if not lives)
                 with nullcontext() if watch is None else watch:
                     outputs = self._step(tick, inputs)
             except BaseException as error:  # noqa: BLE001 - whatever comes out of a step is its cells' failure

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from bus.errors import WaitInterrupted
+from bus.errors import BusError, WaitInterrupted
 from bus.lockstep.counters import Loss, MessageCounters
 from bus.lockstep.liveness import LivenessTracker
 from bus.lockstep.membership import CoordinatorMembership
@@ -21,9 +21,18 @@ from bus.partition import Partition
 from bus.sensors import SensorSchema
 from bus.spec import StallSpec
 from bus.transports.base import Endpoint, Urgency
-from bus.wire.format import CoordinatorCodec, RunSchema
+from bus.wire.format import CoordinatorCodec, RelayedLinks, RunSchema
 from bus.wire.formats import FORMATS, WireFormat
-from bus.wire.frames import Control, DriveFrame, Mask, Report, SenseFrame, check_sense, encode_control
+from bus.wire.frames import (
+    Control,
+    DriveFrame,
+    Mask,
+    Report,
+    SenseFrame,
+    Values,
+    check_sense,
+    encode_control,
+)
 from bus.wire.keys import plant_key, shard_key
 
 _POLL_S: Final = 0.01
@@ -44,7 +53,7 @@ class Coordinator:
     Args:
         endpoint: The plant's endpoint.
         partition: Partition of the cells into shards; the same on all sides.
-        form: ``"packed"`` or ``"per_cell"``; the same on all sides.
+        form: Name of the wire format; the same on all sides.
         run: Name of the run.
         readings: Contents of sense frames.
         message: The firmware's message type; None for firmware without messages.
@@ -85,12 +94,16 @@ class Coordinator:
         self._state = endpoint.publisher(plant_key(run, "state"))
         self._state_polled: float | None = None
         self._state_wanted = False
+        self._closed = _BEFORE
+        self._relayed: RelayedLinks | None = None
+        self._resent = _BEFORE
+        """Tick whose messages the shards of a resumed run send again, for the coordinator to pass on."""
         self._roll = LivenessTracker(self._form, partition.lattice)
         self._drives = FrameAssembler(
             "drive", self._form.blank_drives, self._form.decode_drive, self.counters
         )
         self._drives.latest = _BEFORE  # nobody can know what to drive before it has sensed
-        self._inbox = Dispatcher(endpoint, self.counters, self._roll.handle)
+        self._inbox = Dispatcher(endpoint, partition, self.counters, self._roll.handle)
         for key, unit in self._form.drive_units.items():
             self._inbox.routes[key] = (self._drives.handle, unit)
         endpoint.subscribe(self._form.drive_expr)
@@ -147,18 +160,26 @@ class Coordinator:
             everybody = self._roll.all_ready()
             if everybody:
                 waiting = [unit for unit in waiting if not self._sense[unit].matched()]
-                if not waiting:
+                if not waiting and not self._awaits_messages():
                     break
             left = deadline - self._clock()
             if left <= 0:
                 raise self._roll.missing(limit, waiting)
             # Tokens come as events, matches must be polled: they come with the tokens.
             self._inbox.poll(min(left, _POLL_S) if everybody else left)
+        if self._resent != _BEFORE:
+            # The coordinator of the run before it was resumed has counted them.
+            self.counters.delivered -= sum(self._drives.slot(self._resent).have)
+            self._close(self._resent)
         start = Control("start", self._tick)
         if _BEFORE in self._reported.counters:  # counted when the run began
             self._control.put(encode_control(start))
         else:
             self.control(start)
+
+    def _awaits_messages(self) -> bool:
+        """Whether messages that the shards of a resumed run send again are missing."""
+        return self._resent != _BEFORE and self._drives.slot(self._resent).missing > 0
 
     def absent(self, timeout_s: float) -> set[int]:
         """Return the shards with a cell that has not appeared yet.
@@ -180,7 +201,8 @@ class Coordinator:
             counts: Counters of all sides before ``tick``.
         """
         self._tick = tick
-        self._drives.start_at(tick)
+        self._resent = self._drives.latest = tick - 1 if self._form.relays else _BEFORE
+        self._drives.start_at(tick - 1 if self._form.relays else tick)
         if dead:
             self.mark_dead(dead, 0)
         self._reported.counters[_BEFORE] = counts
@@ -191,10 +213,15 @@ class Coordinator:
         """Send every live cell its senses.
 
         Raises:
-            BusError: The frame is not what was agreed.
+            BusError: The frame is not what was agreed, or brings messages of a tick that was not gathered.
         """
         check_sense(frame, self._wiring.readings, len(self._wiring.partition.lattice))
-        puts = list(zip(self._sense, self._form.sense_payloads(frame), strict=True))
+        if self._form.relays and self._closed != frame.tick - 1:
+            raise BusError(
+                f"sense frame of tick {frame.tick}: brings the messages of the tick before, whose drives must be "
+                f"gathered first; the last gathered is {self._closed}"
+            )
+        puts = list(zip(self._sense, self._form.sense_payloads(frame, self._relayed), strict=True))
         if not self._membership.unchanged:
             puts = [put for put, until in zip(puts, self._drives.end_tick, strict=True) if until > frame.tick]
         self._drives.latest = frame.tick
@@ -232,10 +259,19 @@ class Coordinator:
                     tick, self._reported.drain_busy(tick) if clock() < latest else ()
                 )
                 deadline = min(clock() + self._stall.deadline_s, latest)
-        drive = self._form.join_drives(self._drives.close(tick).values)
-        if not self._membership.unchanged:
-            drive[~self._membership.live(tick)] = 0.0
-        return DriveFrame(tick, drive), self._membership.drain_losses()
+        return DriveFrame(tick, self._close(tick)), self._membership.drain_losses()
+
+    def _close(self, tick: int) -> Values:
+        """Close a tick whose drives have been gathered: return the drives, and store the messages to pass on."""
+        values = self._drives.close(tick).values
+        self._closed = tick
+        live = None if self._membership.unchanged else self._membership.live(tick)
+        if self._form.relays:
+            self._relayed = self._form.relay(values, live)
+        drive = self._form.join_drives(values)
+        if live is not None:
+            drive[~live] = 0.0
+        return drive
 
     # --- who takes part -------------------------------------------------------------------------
 

@@ -28,8 +28,6 @@ from bus.wire.frames import Control, DriveFrame, LinkFrame, Mask
 from bus.wire.keys import plant_key, shard_key
 
 _POLL_S: Final = 0.01
-_LINK_POLL_S: Final = 0.001
-"""Polling interval for messages that arrive after the senses, wall seconds."""
 _ANSWER_S: Final = 1.0
 """Time that a shard whose cells have all failed waits for the plant's answer, wall seconds."""
 _LEAVE_S: Final = 5.0
@@ -47,7 +45,7 @@ class Participant:
         endpoint: The endpoint of the shard's process.
         partition: Partition of the cells into shards; the same on all sides.
         shard: Number of the shard.
-        form: ``"packed"`` or ``"per_cell"``; the same on all sides.
+        form: Name of the wire format; the same on all sides.
         run: Name of the run.
         readings: Contents of sense frames.
         message: The firmware's message type; None for firmware without messages.
@@ -107,7 +105,7 @@ class Participant:
         token, control = plant_key(run, "alive"), plant_key(run, "control")
         self._control = ControlState(partition.lattice, self._membership, token, self.counters)
         self.drain_faults: Callable[[], list[Control]] = self._control.drain_faults
-        self._inbox = Dispatcher(endpoint, self.counters, self._control.handle_token)
+        self._inbox = Dispatcher(endpoint, partition, self.counters, self._control.handle_token)
         self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._control.handle, 0)}
         endpoint.subscribe(control, "urgent")
         self._reports = ReportPublisher(
@@ -202,7 +200,7 @@ class Participant:
             links: Those messages; None where the firmware has none.
         """
         if links is not None:
-            self._endpoint.put_all(self._outgoing.encode_links(links))
+            self._endpoint.put_all(self._outgoing.encode_again(links))
         if self._membership.none_live(self._tick):
             self._reports.publish_counters(self._tick)
 
@@ -257,10 +255,9 @@ class Participant:
             if control.plant_lost:
                 raise CoordinatorLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
             left = max(min(limits) - self._clock(), 0.0) if limits else None
-            if not waits:
-                # Messages after the senses wake nobody.
-                left = _LINK_POLL_S if left is None else min(left, _LINK_POLL_S)
-            if not read(left, max(sense.missing, 1)) and left == 0:
+            # Messages end no wait for senses. One that comes after the senses is waited for by its key.
+            key = None if waits else self._incoming.awaited_key(tick - 1)
+            if not read(left, max(sense.missing, 1), key) and left == 0:
                 if until == min(limits):
                     return None
                 raise CoordinatorLostError(
@@ -329,6 +326,11 @@ class Participant:
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Mark ``cells`` (indices in the lattice) as dead from ``tick`` on; their process may rejoin."""
         self._membership.mark_dead(cells, tick)
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether no cell of the run ever died: masks of live cells can be skipped."""
+        return self._membership.unchanged
 
     def live(self, tick: int) -> Mask:
         """Return the mask of the shard's cells that are live in ``tick``, ``(n,)``."""

@@ -8,6 +8,7 @@ from typing import Any, Final, final
 from bus.errors import WaitInterrupted, WireError
 from bus.lattice import NO_TICK_LIMIT
 from bus.lockstep.counters import MessageCounters
+from bus.partition import Partition
 from bus.transports.base import Endpoint, LivelinessChange, Received
 from bus.wire.keys import owner_of
 
@@ -202,6 +203,7 @@ class Dispatcher:
 
     Args:
         endpoint: Endpoint to receive from.
+        partition: Partition of the cells into shards.
         counts: Counters of refused payloads.
         tokens: Handler of token changes.
 
@@ -210,20 +212,25 @@ class Dispatcher:
     """
 
     def __init__(
-        self, endpoint: Endpoint, counts: MessageCounters, tokens: Callable[[LivelinessChange], None]
+        self,
+        endpoint: Endpoint,
+        partition: Partition,
+        counts: MessageCounters,
+        tokens: Callable[[LivelinessChange], None],
     ) -> None:
+        self._partition = partition
         self.routes: dict[str, Route] = {}
         self._receive = endpoint.receive_all
         self._counts = counts
         self._tokens = tokens
 
-    def poll(self, timeout_s: float | None, enough: int = 1) -> bool:
-        """Wait for events as ``Endpoint.receive`` does, and handle all of them; return whether there were any.
+    def poll(self, timeout_s: float | None, enough: int = 1, quiet_key: str | None = None) -> bool:
+        """Wait for events as ``Endpoint.receive_all`` does, and handle all of them; return whether there were any.
 
         Raises:
             WaitInterrupted: ``Endpoint.wake`` was called; all other events have been handled.
         """
-        events = self._receive(timeout_s, min(enough, BATCH))
+        events = self._receive(timeout_s, min(enough, BATCH), quiet_key)
         wakeups = 0
         for event in events:
             if type(event) is Received:
@@ -233,7 +240,7 @@ class Dispatcher:
                 except WireError as error:
                     # A stranger may invent keys without end; they are one.
                     known = take is not _refuse
-                    self._counts.refuse(error, owner_of(event.key) if known else "nobody")
+                    self._counts.refuse(error, owner_of(event.key, self._partition) if known else "nobody")
             elif type(event) is LivelinessChange:
                 self._tokens(event)
             else:

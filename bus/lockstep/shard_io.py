@@ -57,6 +57,7 @@ class InboundFrames:
         self._counts = counts
         self._cells = wiring.partition.cells(shard)
         self._speaks = wiring.message is not None
+        self._link_keys = tuple(form.in_parts)
         self._first = 0
         self._senses = FrameAssembler("sense", form.blank_senses, form.decode_sense, counts)
         self._links = FrameAssembler("link", form.blank_links, form.decode_link, counts)
@@ -88,17 +89,21 @@ class InboundFrames:
 
     def collect(self, tick: int) -> TickInputs:
         """Close a tick and return its inputs."""
-        senses = self._form.join_senses(self._senses.close(tick).values)
+        sensed = self._senses.close(tick).values
+        senses = self._form.join_senses(sensed)
         if not self._membership.unchanged:
             gone = ~self._membership.live(tick)[self._cells]
-            for sensed in (senses.presence, senses.encoder_m, senses.level, senses.label):
-                if sensed is not None:
-                    sensed[gone] = 0
+            for readings in (senses.presence, senses.encoder_m, senses.level, senses.label):
+                if readings is not None:
+                    readings[gone] = 0
         sense = SenseFrame(tick, *senses)
         if not self._speaks:
             return TickInputs(sense, None)
-        values = self._form.blank_links if tick == self._first else self._links.close(tick - 1).values
-        return TickInputs(sense, LinkFrame(tick - 1, *self._form.join_links(values)))
+        if tick == self._first:
+            values, sensed = self._form.blank_links, self._form.blank_senses
+        else:
+            values = self._links.close(tick - 1).values
+        return TickInputs(sense, LinkFrame(tick - 1, *self._form.join_links(values, sensed)))
 
     # --- intervals and sources ------------------------------------------------------------------
 
@@ -126,6 +131,10 @@ class InboundFrames:
         self._links.update_membership(
             [min(source, target - 1) for source, target in zip(sources, targets, strict=True)]
         )
+
+    def awaited_key(self, tick: int) -> str:
+        """Return a key on which a message sent in ``tick`` is missing."""
+        return self._link_keys[self._links.missing(tick)[0]]
 
     @property
     def awaited(self) -> int:
@@ -220,27 +229,41 @@ class OutboundFrames:
             BusError: A shape or type is not what was agreed, or a drive is not finite; names the cell.
         """
         self._check(drive, links)
-        tick = drive.tick
-        puts = [] if links is None else self.encode_links(links)
+        return self._encode(drive, links)
+
+    def encode_again(self, links: LinkFrame) -> list[tuple[Publisher, bytes]]:
+        """Encode a tick's messages a second time; drives in the payloads are zero.
+
+        The coordinator of a resumed run has the drives of that tick.
+        """
+        if self._form.relays:
+            return self._encode(DriveFrame(links.tick, np.zeros(self._shape)), links)
+        return self._encode_links(self._from_live(links))
+
+    def _encode(self, drive: DriveFrame, links: LinkFrame | None) -> list[tuple[Publisher, bytes]]:
+        links = None if links is None else self._from_live(links)
+        puts = [] if links is None else self._encode_links(links)
         try:
-            driven = list(zip(self._drive, self._form.drive_payloads(drive), strict=True))
+            driven = list(zip(self._drive, self._form.drive_payloads(drive, links), strict=True))
         except WireError:
             raise self._not_finite(drive) from None
         if not self._membership.unchanged:
-            driven = [put for put, until in zip(driven, self._drive_until, strict=True) if until > tick]
+            driven = [put for put, until in zip(driven, self._drive_until, strict=True) if until > drive.tick]
         return puts + driven
 
-    def encode_links(self, links: LinkFrame) -> list[tuple[Publisher, bytes]]:
-        """A tick's messages, each payload with its publisher."""
-        tick = links.tick
-        if not self._out:
-            return []
+    def _from_live(self, links: LinkFrame) -> LinkFrame:
+        """Return a tick's messages without those of dead cells."""
         if self._membership.unchanged:
-            return list(zip(self._out, self._form.link_payloads(links), strict=True))
-        live = self._membership.end_tick[self._sources] > tick
-        payloads = self._form.link_payloads(LinkFrame(tick, links.sent & live, links.message))
-        puts = zip(self._out, payloads, strict=True)
-        return [put for put, read in zip(puts, self._has_reader(tick), strict=True) if read]
+            return links
+        live = self._membership.end_tick[self._sources] > links.tick
+        return LinkFrame(links.tick, links.sent & live, links.message)
+
+    def _encode_links(self, links: LinkFrame) -> list[tuple[Publisher, bytes]]:
+        """Encode a tick's messages for the keys of links, each payload with its publisher."""
+        puts = list(zip(self._out, self._form.link_payloads(links), strict=True))
+        if self._membership.unchanged:
+            return puts
+        return [put for put, read in zip(puts, self._has_reader(links.tick), strict=True) if read]
 
     def _has_reader(self, tick: int) -> list[bool]:
         """Return whether each part of the outgoing links has a live sender, and a live receiver a tick later."""
@@ -310,6 +333,11 @@ class ParticipantMembership:
         self._incoming = incoming
         self._outgoing = outgoing
         self._counts = counts
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether no cell of the run ever died: masks of live cells can be skipped."""
+        return self._membership.unchanged
 
     def live(self, tick: int) -> Mask:
         """Return the mask of the shard's cells that are live in ``tick``, ``(n,)``."""

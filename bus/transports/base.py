@@ -52,7 +52,8 @@ class Endpoint(ABC):
     - **Once.** A payload put while a subscriber was matched arrives exactly once while both live. Overlapping
       subscriptions of one endpoint would break that and are refused. An endpoint receives its own puts.
     - **Patience.** ``receive`` may be given the number of payloads needed: fewer then wait, but never beyond the
-      timeout, and never behind a token, a ``Wakeup`` or an urgent subscription's payload.
+      timeout, and never behind a token, a ``Wakeup`` or an urgent subscription's payload. ``receive_all`` may be given
+      a quiet subscription to wait for.
     - **Bytes.** Payloads arrive as they were put, empty ones included.
     - **Late joiners** get nothing of what was put before they subscribed. Tokens are different: a watcher
       is notified of every token present when it begins to watch, possibly twice.
@@ -112,11 +113,19 @@ class Endpoint(ABC):
         return self._rest.pop(0) if self._rest else None
 
     @abstractmethod
-    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+    def receive_all(
+        self, timeout_s: float | None, enough: int = 1, quiet_key: str | None = None
+    ) -> list[Event]:
         """Return all events in the inbox, oldest first, else wait as ``receive``; empty after ``timeout_s``.
 
         Every transport implements it: events pass no other file between its inbox and their reader. It returns
         ``_rest`` first, and then doesn't wait.
+
+        Args:
+            timeout_s: As of ``receive``.
+            enough: As of ``receive``.
+            quiet_key: Expression of a quiet subscription whose payload ends this wait, as does everything urgent;
+                payloads of ``"wake"`` subscriptions then need not. None: the wait is that of ``receive``.
         """
 
     @abstractmethod

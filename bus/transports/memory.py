@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Any, final
+from typing import Any, Final, final
 
 from bus.errors import TransportError
 from bus.transports.base import Endpoint, Event, LivelinessChange, Publisher, Received, Urgency, Wakeup
@@ -161,6 +161,10 @@ class MemoryPublisher(Publisher):
         return bool(self._bus.route(self._key))
 
 
+_NUDGE: Final = object()
+"""Ends the wait for a quiet payload."""
+
+
 @final
 class MemoryEndpoint(Endpoint):
     """A participant of a ``MemoryBus``; made by ``MemoryBus.endpoint``."""
@@ -169,9 +173,10 @@ class MemoryEndpoint(Endpoint):
         super().__init__()
         self._bus = bus
         self._inbox = EventQueue()
-        self._quiet: deque[Event] = deque()
-        self._doors: dict[Urgency, Callable[[Event], None]] = {
-            "quiet": self._quiet.append,
+        self._quiet: deque[Received] = deque()
+        self._awaited: str | None = None
+        self._doors: dict[Urgency, Callable[[Any], None]] = {
+            "quiet": self._put_quiet,
             "wake": self._inbox.put,
             "urgent": self._inbox.put_urgent,
         }
@@ -212,12 +217,26 @@ class MemoryEndpoint(Endpoint):
         self.check_open()
         self._bus.watch(key_expr, self)
 
-    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+    def receive_all(
+        self, timeout_s: float | None, enough: int = 1, quiet_key: str | None = None
+    ) -> list[Event]:
         """All events, the quiet first."""
         self.check_open()
         rest, self._rest = self._rest, []
-        events = self._inbox.take(0 if rest else timeout_s, enough)
-        return rest + [self._quiet.popleft() for _ in range(len(self._quiet))] + events
+        self._awaited = quiet_key  # before the look: what comes after it ends the wait
+        there = any(self._is_awaited(event) for event in list(self._quiet))
+        events = self._inbox.take(0 if rest or there else timeout_s, enough)
+        self._awaited = None
+        found = [event for event in events if event is not _NUDGE]
+        return rest + [self._quiet.popleft() for _ in range(len(self._quiet))] + found
+
+    def _put_quiet(self, event: Received) -> None:
+        self._quiet.append(event)
+        if self._is_awaited(event):
+            self._inbox.put_urgent(_NUDGE)
+
+    def _is_awaited(self, event: Received) -> bool:
+        return self._awaited is not None and intersects(self._awaited, event.key)
 
     def wake(self) -> None:
         """Put one ``Wakeup`` in the inbox."""

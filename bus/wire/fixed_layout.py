@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final, cast, final
 
 import msgpack  # pyright: ignore[reportMissingTypeStubs]
@@ -23,8 +24,17 @@ _MARKS: Final = {
 _TO_WIRE: Final = bytes.maketrans(b"\x00\x01", b"\xc2\xc3")
 _FROM_WIRE: Final = bytes({0xC2: 0, 0xC3: 1}.get(byte, 2) for byte in range(256))
 
-FieldLayout = str | tuple[str, ...] | int | None
-"""Layout of a field: a number, a list of numbers, a list of so many booleans, or nil; ``"?"``: a boolean."""
+
+@final
+@dataclass(frozen=True, slots=True)
+class Binary:
+    """Layout of a field of ``size`` bytes."""
+
+    size: int
+
+
+FieldLayout = str | tuple[str, ...] | int | Binary | None
+"""Layout of a field: a number, a list of numbers, a list of so many booleans, bytes, or nil; ``"?"``: a boolean."""
 
 
 Decode = Callable[[int, bytes], tuple[int, Any]]
@@ -117,6 +127,9 @@ def _layout(places: Mapping[str, FieldLayout]) -> tuple[list[bytes], list[str], 
             text(packer.pack(None))
         elif place == "?":
             booleans_of(1)
+        elif isinstance(place, Binary):
+            text(packer.pack(bytes(place.size)).removesuffix(bytes(place.size)))
+            value(f"{place.size}s")
         elif isinstance(place, int):
             text(packer.pack_array_header(place))
             booleans_of(place)

@@ -1,7 +1,10 @@
 """Wire format interface: frames to keys and payloads, and back.
 
-A wire format divides the cells into *units*, each with its own keys: a shard in the packed format, a cell in the other.
-It divides a shard's border links into *parts*: a border between two shards, or a single link.
+A wire format divides the cells into *units*, each with its own keys: a cell in the format ``per_cell``, a shard in
+the others. Messages between shards have keys of their own, or are *relayed*: a unit's drive brings the messages that
+its cells send, and the coordinator passes the messages on with the next senses. Where messages have keys, the format
+divides a shard's border links into *parts*: a border between two shards, or a single link. A format that relays has no
+parts.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus.partition import Index, Partition
 from bus.sensors import CameraFrame, Labels, SensorSchema
@@ -64,6 +68,18 @@ class Senses(NamedTuple):
     picture: CameraFrame | None
 
 
+class RelayedLinks(NamedTuple):
+    """Messages that the coordinator passes on, in the order of the shards' incoming links, shard after shard.
+
+    Attributes:
+        sent: ``(m,)`` uint8, 1 where a message was sent.
+        message: ``(m,)``, packed as the protocol declares it; any value where none was sent.
+    """
+
+    sent: NDArray[np.uint8]
+    message: NDArray[np.void]
+
+
 class CoordinatorCodec(ABC):
     """The plant's side of a wire format.
 
@@ -74,6 +90,7 @@ class CoordinatorCodec(ABC):
         drive_expr, alive_expr, ready_expr: Expressions to subscribe to and to watch.
         blank_drives: Substitute for each unit that sends no drive.
         decode_drive: From a unit and any payload to the tick and value of its drive, or WireError.
+        relays: Whether drives bring messages, which the coordinator passes on.
     """
 
     unit_cells: tuple[Index, ...]
@@ -86,14 +103,30 @@ class CoordinatorCodec(ABC):
     ready_expr: str
     blank_drives: list[Any]
     decode_drive: Decode
+    relays: bool = False
 
     @abstractmethod
-    def sense_payloads(self, frame: SenseFrame) -> list[bytes]:
-        """A payload a unit, in their order."""
+    def sense_payloads(self, frame: SenseFrame, relayed: RelayedLinks | None = None) -> list[bytes]:
+        """A payload a unit, in their order.
+
+        Args:
+            frame: The senses of all cells.
+            relayed: Messages of the tick before, as ``relay`` returned them; None: nothing was sent.
+        """
 
     @abstractmethod
     def join_drives(self, values: list[Any]) -> Values:
         """``(n, 2)`` from a value a unit; may be written."""
+
+    def relay(self, values: list[Any], live: Mask | None) -> RelayedLinks:
+        """Return the messages of a tick in the order of their receivers; only for a format that relays.
+
+        Args:
+            values: A value a unit, of its drive.
+            live: ``(n,)``, cells whose messages count; None: all.
+        """
+        del values, live
+        raise AssertionError("this format does not relay: this is a bug")
 
 
 class ParticipantCodec(ABC):
@@ -109,6 +142,7 @@ class ParticipantCodec(ABC):
         in_sources, in_targets: Cells of the units that send and receive each part.
         blank_links: Substitute for each part that does not arrive.
         decode_link: From a part and any payload to the tick and value of its frame, or WireError.
+        relays: Whether senses and drives bring the messages, which then have no parts.
         out_keys: Key of each part that the shard sends, in the order of its outgoing links.
         out_sources, out_targets: Cells of the units that send and receive each part.
     """
@@ -125,6 +159,7 @@ class ParticipantCodec(ABC):
     in_targets: tuple[Index, ...]
     blank_links: list[Any]
     decode_link: Decode
+    relays: bool = False
     out_keys: tuple[str, ...]
     out_sources: tuple[Index, ...]
     out_targets: tuple[Index, ...]
@@ -134,12 +169,21 @@ class ParticipantCodec(ABC):
         """Join the decoded senses of all units of the shard."""
 
     @abstractmethod
-    def join_links(self, values: list[Any]) -> tuple[Mask, Message]:
-        """Mask and messages ``(m,)`` of all incoming links, messages zero where none was sent."""
+    def join_links(self, values: list[Any], sensed: list[Any]) -> tuple[Mask, Message]:
+        """Mask and messages ``(m,)`` of all incoming links, messages zero where none was sent.
+
+        Args:
+            values: A value a part.
+            sensed: A value a unit, of the senses that bring relayed messages.
+        """
 
     @abstractmethod
-    def drive_payloads(self, frame: DriveFrame) -> list[bytes]:
+    def drive_payloads(self, frame: DriveFrame, links: LinkFrame | None = None) -> list[bytes]:
         """A payload a unit, in their order.
+
+        Args:
+            frame: The drives of the shard's cells.
+            links: The messages of the same tick, for formats that relay; None: nothing is sent.
 
         Raises:
             WireError: A drive is not finite.

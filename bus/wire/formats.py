@@ -1,15 +1,17 @@
-"""The two wire forms, one a file, and their names."""
+"""Registry of the wire forms by name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 from bus.wire.format import CoordinatorCodec, ParticipantCodec, RunSchema
+from bus.wire.keys import WireFormat
 from bus.wire.packed import PackedCoordinator, PackedParticipant
 from bus.wire.per_cell import PerCellCoordinator, PerCellParticipant
+from bus.wire.relayed import RelayedCoordinator, RelayedParticipant
 
-WireFormat = Literal["packed", "per_cell"]
+__all__ = ["FORMATS", "FormatCodecs", "WireFormat"]
 
 
 class FormatCodecs(NamedTuple):
@@ -22,4 +24,5 @@ class FormatCodecs(NamedTuple):
 FORMATS: Final[dict[WireFormat, FormatCodecs]] = {
     "packed": FormatCodecs(PackedCoordinator, PackedParticipant),
     "per_cell": FormatCodecs(PerCellCoordinator, PerCellParticipant),
+    "relayed": FormatCodecs(RelayedCoordinator, RelayedParticipant),
 }

@@ -6,12 +6,17 @@ Every key begins with ``mdms/RUN``. ``docs/bus.md`` lists them all.
 from __future__ import annotations
 
 import re
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from bus.errors import RunNameError
 from bus.lattice import SIDES
 
+if TYPE_CHECKING:
+    from bus.partition import Partition
+
 RunLeaf = Literal["sense", "drive", "alive", "ready"]
+WireFormat = Literal["packed", "per_cell", "relayed"]
+"""Name of a wire form; ``bus.wire.formats`` has the forms."""
 
 _RUN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,63}")
 
@@ -55,36 +60,44 @@ def plant_key(run: str, leaf: Literal["state", "control", "alive", "operator"]) 
     return f"mdms/{run}/plant/{leaf}"
 
 
-def message_kinds(run: str, form: Literal["packed", "per_cell"], units: int) -> dict[str, int]:
+def message_kinds(run: str, form: WireFormat, units: int) -> dict[str, int]:
     """Key expression of each kind of message of a run, and how many of that kind a tick has at most.
 
     Args:
         run: Name of the run.
         form: The wire form.
-        units: Number of shards in the packed form, of cells in the other.
+        units: Number of cells in the form ``per_cell``, of shards in the others.
 
     Returns:
         In the order in which a tick's messages are sent.
     """
     prefix = f"mdms/{run}"
-    unit = f"{prefix}/shard/*" if form == "packed" else f"{prefix}/cell/*/*"
+    unit = f"{prefix}/cell/*/*" if form == "per_cell" else f"{prefix}/shard/*"
+    links = {} if form == "relayed" else {f"{unit}/to/*": units * len(SIDES)}
     return {
         f"{prefix}/plant/control": units,
         f"{prefix}/plant/state": 1,
         f"{unit}/sense": units,
-        f"{unit}/to/*": units * len(SIDES),
+        **links,
         **{f"{prefix}/shard/*/{leaf}": units for leaf in ("snapshot", "registers", "report")},
         f"{unit}/drive": units,
     }
 
 
-def owner_of(key: str) -> str:
-    """Describe the owner of a key of a run: ``cell 3,4``, ``shard 2`` or ``plant``."""
+def owner_of(key: str, partition: Partition) -> str:
+    """Describe the owner of a key of a run: ``cell 3,4``, ``shard 2`` or ``plant``.
+
+    A shard of one cell is described as that cell.
+    """
     match key.split("/")[2:]:
         case ["cell", row, column, *_]:
             return f"cell {row},{column}"
         case ["shard", shard, *_]:
-            return f"shard {shard}"
+            cells = partition.cells(int(shard))
+            if len(cells) > 1:
+                return f"shard {shard}"
+            row, column = partition.lattice.cells[int(cells[0])]
+            return f"cell {row},{column}"
         case _:
             return "plant"
 

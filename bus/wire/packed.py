@@ -12,7 +12,7 @@ from bus.sensors import SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
 from bus.wire import msgpack_codec as readings_codec
-from bus.wire.format import CoordinatorCodec, ParticipantCodec, RunSchema, Senses, as_slice
+from bus.wire.format import CoordinatorCodec, ParticipantCodec, RelayedLinks, RunSchema, Senses, as_slice
 from bus.wire.keys import shard_key, shard_link_key
 
 _DRIVE: Final = codec.layout("drive")
@@ -44,8 +44,9 @@ class PackedCoordinator(CoordinatorCodec):
         self.blank_drives = [0.0] * partition.count
         self._read_drive = [codec.reader("drive", len(cells) * 16, _DRIVE) for cells in self.unit_cells]
 
-    def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
+    def sense_payloads(self, frame: wire.SenseFrame, relayed: RelayedLinks | None = None) -> list[bytes]:
         """A payload a shard."""
+        del relayed
         common: dict[str, object] = {}
         if self._pictures:
             common["picture"] = readings_codec.picture_rows(frame.picture)
@@ -174,16 +175,18 @@ class PackedParticipant(ParticipantCodec):
             message[~sent] = self._zero
         return tick, (sent, message)
 
-    def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
+    def join_links(self, values: list[Any], sensed: list[Any]) -> tuple[codec.Mask, codec.Message]:
         """The borders' stretches in their order."""
+        del sensed
         if len(values) < 2:
             return values[0] if values else self._no_links
         return np.concatenate([sent for sent, _ in values]), np.concatenate(
             [message for _, message in values]
         )
 
-    def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
+    def drive_payloads(self, frame: wire.DriveFrame, links: wire.LinkFrame | None = None) -> list[bytes]:
         """One payload."""
+        del links
         if not codec.all_finite(frame.drive):
             raise WireError("drive", "finite", "every value must be finite")
         return [self._pack({"v": codec.VERSION, "tick": frame.tick, "drive": frame.drive.tobytes()})]

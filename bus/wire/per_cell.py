@@ -18,7 +18,7 @@ from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
 from bus.wire import msgpack_codec as readings_codec
 from bus.wire.fixed_layout import Decode, FieldLayout, FixedLayoutCodec, decode_booleans
-from bus.wire.format import CoordinatorCodec, ParticipantCodec, RunSchema, Senses
+from bus.wire.format import CoordinatorCodec, ParticipantCodec, RelayedLinks, RunSchema, Senses
 from bus.wire.keys import cell_key, cell_link_key
 
 VALUE: Final = 80
@@ -205,8 +205,9 @@ class PerCellCoordinator(CoordinatorCodec):
         self.decode_drive = _drive_decoder()
         self.blank_drives = [bytes(PAIR.size)] * len(cells)
 
-    def sense_payloads(self, frame: wire.SenseFrame) -> list[bytes]:
+    def sense_payloads(self, frame: wire.SenseFrame, relayed: RelayedLinks | None = None) -> list[bytes]:
         """A payload a cell."""
+        del relayed
         return self._sense.write(frame)
 
     def join_drives(self, values: list[Any]) -> codec.Values:
@@ -271,15 +272,17 @@ class PerCellParticipant(ParticipantCodec):
         """Join the senses of all cells."""
         return joined(self._readings, values)
 
-    def join_links(self, values: list[Any]) -> tuple[codec.Mask, codec.Message]:
+    def join_links(self, values: list[Any], sensed: list[Any]) -> tuple[codec.Mask, codec.Message]:
         """Join the packed messages of all links, empty where nothing was sent."""
+        del sensed
         sent = bytearray(map(bool, values))
         if 0 in sent:
             values = [value or self._no_message for value in values]
         return np.frombuffer(sent, np.bool_), np.frombuffer(bytearray().join(values), self._message)
 
-    def drive_payloads(self, frame: wire.DriveFrame) -> list[bytes]:
+    def drive_payloads(self, frame: wire.DriveFrame, links: wire.LinkFrame | None = None) -> list[bytes]:
         """A payload a cell: ``{"drive": [a, b]}``."""
+        del links
         pairs = list(PAIR.iter_unpack(frame.drive.tobytes()))
         for first, second in pairs:
             # Only a finite number minus itself is zero.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from bus.wire.keys import WireFormat
 from deploy.commands.options import JsonOption, SceneArgument, SetOption, load_scene
 from deploy.commands.run import ProcessesOption, parse_processes
 from deploy.errors import InputError
@@ -22,7 +23,7 @@ _ROLES = 8
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the keys.")]
 WireOption = Annotated[
-    Literal["packed", "per_cell"] | None,
+    WireFormat | None,
     typer.Option("--wire", help="Wire form of the runs. Default: as for mdms run."),
 ]
 HostOption = Annotated[

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from bus.wire.keys import WireFormat
 from deploy.commands.options import EXECUTION_PANEL, RunSceneOptions, expand_dataclass
 from deploy.commands.outcome import execute
 from deploy.errors import InputError
@@ -41,12 +42,13 @@ TransportOption = Annotated[
     ),
 ]
 WireOption = Annotated[
-    Literal["packed", "per_cell"] | None,
+    WireFormat | None,
     typer.Option(
         "--wire",
         rich_help_panel=EXECUTION_PANEL,
-        help="packed: one array per worker; cells: one key per cell and link, for use with any Zenoh tool. "
-        "Default: packed, but cells with --processes each.",
+        help="packed: one array per worker and border; relayed: one payload per worker each way, messages to "
+        "neighbours pass the plant; per_cell: one key per cell and link, for use with any Zenoh tool. Default: that of "
+        "--keys, or packed; with --processes each relayed, or per_cell if --listen or --join is given.",
     ),
 ]
 ListenOption = Annotated[

@@ -24,6 +24,7 @@ from deploy.workers.worker import WorkerConfig, build_shard
 if TYPE_CHECKING:
     from bus.lockstep.registers import RegisterRequest
     from bus.sensors import SensorSchema
+    from bus.wire.keys import WireFormat
     from cell_firmware.shard import Shard
     from deploy.scenes.scene import Scene
     from deploy.workers.system import System
@@ -183,10 +184,11 @@ class Workers:
 
     Args:
         processes: Number of worker processes; ``each``: one a cell.
+        wire: Wire format; None: see ``RunOptions``.
     """
 
-    def __init__(self, processes: int | Literal["each"] = 1) -> None:
-        self._options = RunOptions(processes=processes)
+    def __init__(self, processes: int | Literal["each"] = 1, wire: WireFormat | None = None) -> None:
+        self._options = RunOptions(processes=processes, wire=wire)
         self._system: System | None = None
 
     def start(self, scene: Scene, array: CellArray, sensors: SensorSchema) -> LockstepPort:

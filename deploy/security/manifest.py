@@ -13,6 +13,7 @@ from datetime import datetime
 from typing import Final, Literal, final
 
 from bus.spec import CellName, Spec
+from bus.wire.keys import WireFormat
 
 KEYS: Final = "keys.json"
 ACCESS: Final = "access.json5"
@@ -42,7 +43,7 @@ class KeyManifest(Spec):
     version: Literal[1] = 1
     kind: Kind
     scene: str
-    wire: Literal["packed", "per_cell"]
+    wire: WireFormat
     roles: dict[str, tuple[CellName, ...]]
     hosts: tuple[str, ...] = ()
     until: datetime | None = None

@@ -37,11 +37,14 @@ def size_limits(cut: ProcessLayout) -> list[dict[str, Any]]:
     shards = range(cut.partition.count)
     cells = max(len(cut.partition.cells(shard)) for shard in shards)
     links = max(len(cut.partition.outgoing(shard)) for shard in shards)
+    relayed = _MESSAGE * links if cut.wire == "relayed" else 0
     report = 4 * TEXT_LIMIT + COUNTER_LIMIT * (4 * COUNTER_LIMIT + 16) + 16 * cells
     link_keys = ["mdms/*/cell/*/*/to/*", "mdms/*/shard/*/to/*"]
     return [
         _limit(
-            "drive", [cell_key("*", None, "drive"), shard_key("*", None, "drive")], _ENVELOPE + 16 * cells
+            "drive",
+            [cell_key("*", None, "drive"), shard_key("*", None, "drive")],
+            _ENVELOPE + 16 * cells + relayed,
         ),
         _limit("link", link_keys, _ENVELOPE + _MESSAGE * max(links, 1)),
         _limit("report", [shard_key("*", None, "report")], _ENVELOPE + report),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, final
+from typing import TYPE_CHECKING, Final, final
 
-from bus.wire.keys import cell_key, cell_link_key, plant_key, shard_key, shard_link_key
+from bus.wire.keys import WireFormat, cell_key, cell_link_key, plant_key, shard_key, shard_link_key
 
 if TYPE_CHECKING:
     from bus.partition import Partition
@@ -59,7 +60,7 @@ class ProcessLayout:
     """
 
     partition: Partition
-    wire: Literal["packed", "per_cell"]
+    wire: WireFormat
     names: tuple[str, ...]
 
     def role(self, shard: int) -> str:
@@ -82,7 +83,7 @@ def roles_of(cut: ProcessLayout) -> tuple[Role, ...]:
 
 
 def _cells(cut: ProcessLayout, shard: int) -> Role:
-    puts, hears, shows = (_packed if cut.wire == "packed" else _by_cell)(cut, shard)
+    puts, hears, shows = _KEYS[cut.wire](cut, shard)
     return Role(
         cut.role(shard),
         cut.cells(shard),
@@ -96,13 +97,19 @@ def _cells(cut: ProcessLayout, shard: int) -> Role:
 _Keys = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
 
+def _relayed(cut: ProcessLayout, shard: int) -> _Keys:  # noqa: ARG001 - as every wire format
+    """Return the keys that a shard puts, receives and shows in wire format ``relayed``."""
+    shows = shard_key(_ANY, shard, "alive"), shard_key(_ANY, shard, "ready")
+    return (shard_key(_ANY, shard, "drive"),), (shard_key(_ANY, shard, "sense"),), shows
+
+
 def _packed(cut: ProcessLayout, shard: int) -> _Keys:
     """Return the keys that a shard puts, receives and shows in wire format ``packed``."""
-    puts = [shard_key(_ANY, shard, "drive")]
-    puts += [shard_link_key(_ANY, shard, border.shard) for border in cut.partition.outgoing_borders(shard)]
-    hears = [shard_key(_ANY, shard, "sense")]
-    hears += [shard_link_key(_ANY, border.shard, shard) for border in cut.partition.incoming_borders(shard)]
-    return tuple(puts), tuple(hears), (shard_key(_ANY, shard, "alive"), shard_key(_ANY, shard, "ready"))
+    puts, hears, shows = _relayed(cut, shard)
+    outgoing, incoming = cut.partition.outgoing_borders(shard), cut.partition.incoming_borders(shard)
+    to = (shard_link_key(_ANY, shard, border.shard) for border in outgoing)
+    fro = (shard_link_key(_ANY, border.shard, shard) for border in incoming)
+    return (*puts, *to), (*hears, *fro), shows
 
 
 def _by_cell(cut: ProcessLayout, shard: int) -> _Keys:
@@ -122,3 +129,10 @@ def _by_cell(cut: ProcessLayout, shard: int) -> _Keys:
     ]
     shows = [cell_key(_ANY, cell, leaf) for cell in own for leaf in ("alive", "ready")]
     return tuple(puts), tuple(hears), tuple(shows)
+
+
+_KEYS: Final[dict[WireFormat, Callable[[ProcessLayout, int], _Keys]]] = {
+    "packed": _packed,
+    "per_cell": _by_cell,
+    "relayed": _relayed,
+}

@@ -79,7 +79,7 @@ class Access:
             raise
         if hub.refusals is not None:
             hub.refusals.names.append(outside.role)
-        units = plan.partition.count if plan.wire == "packed" else len(plan.partition.lattice)
+        units = len(plan.partition.lattice) if plan.wire == "per_cell" else plan.partition.count
         kinds = message_kinds(plan.run, plan.wire, units)
         self._mirror = Mirror(
             hub, outside, {key: _TICKS * number for key, number in kinds.items()}, f"mdms/{plan.run}/**"

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Any, Final, Literal, final
 from bus.errors import PartitionError
 from bus.lattice import Lattice
 from bus.partition import Partition
+from bus.wire.keys import WireFormat
 from deploy.errors import InputError
 from deploy.scenes.memory_limit import too_many_workers
 from deploy.security.roles import ProcessLayout
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
+    from deploy.security.manifest import KeyManifest
 
 
 Kind = Literal["certificate", "password"]
@@ -163,7 +165,6 @@ def _is_loopback(host: str) -> bool:
 
 
 Transport = Literal["zenoh", "memory"]
-Wire = Literal["packed", "per_cell"]
 Processes = int | Literal["each"]
 _Endpoints = tuple[str | None, str | None]
 """Endpoint for listeners and operators, and endpoint for processes of cells."""
@@ -181,7 +182,8 @@ class RunOptions:
         processes: Worker processes for the cells; ``each``: one a cell; 0: everything in this process; None:
             by the number of cells and processor cores.
         transport: Transport of the messages; ``memory`` needs ``processes`` 0.
-        wire: Wire format; None: ``packed``, but ``cells`` where each cell has its own process.
+        wire: Wire format; None: that of the keys, or ``packed``. Where each cell has its own process, ``relayed``,
+            or ``per_cell`` if ``listen`` or ``join`` names an endpoint for others.
         listen: Endpoint for listeners and operators; None: a free loopback port.
         join: Endpoint for processes of cells; None: a socket in a folder of this user's alone, or with keys a free
             loopback port.
@@ -199,7 +201,7 @@ class RunOptions:
 
     processes: Processes | None = None
     transport: Transport = "zenoh"
-    wire: Wire | None = None
+    wire: WireFormat | None = None
     listen: str | None = None
     join: str | None = None
     realtime: float | None = None
@@ -261,7 +263,7 @@ class Plan:
     setting: Processes
     workers: int
     transport: Transport
-    wire: Wire
+    wire: WireFormat
     partition: Partition
     processes: tuple[PlannedProcess, ...]
 
@@ -305,7 +307,8 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
     workers = len(lattice) if setting == "each" else setting
     if rule := too_many_workers(workers, len(lattice)):
         raise InputError(f"--processes {setting}: {rule}")
-    kind = _kind_of_keys(options)
+    about = _about_keys(options)
+    kind = None if about is None else about.kind
     asked: dict[Option, str | None] = {"--listen": options.listen, "--join": options.join}
     for option, endpoint in asked.items():
         if endpoint is not None:
@@ -317,14 +320,13 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         raise InputError(
             f"--processes {workers}: must be each or 0..{len(lattice)}, the number of cells"
         ) from None
-    wire: Wire = options.wire or ("per_cell" if setting == "each" else "packed")
     return Plan(
         run=run,
         scene=scene.name,
         setting=setting,
         workers=workers,
         transport=options.transport,
-        wire=wire,
+        wire=options.wire or _wire(options, setting, about),
         partition=partition,
         processes=tuple(
             _processes_of(partition, workers, setting, _endpoints(options, kind), scene.stall.start_s)
@@ -353,8 +355,8 @@ def _check(options: RunOptions, scene: Scene, workers: int) -> None:
         raise InputError("--checkpoint: a replayed run can't be saved; leave --checkpoint or --replay out")
 
 
-def _kind_of_keys(options: RunOptions) -> Literal["certificate", "password"] | None:
-    """Return the kind of credentials in the keys; None without keys."""
+def _about_keys(options: RunOptions) -> KeyManifest | None:
+    """Return the manifest of the keys; None without keys."""
     if options.transport == "memory":
         for name, value in (("listen", options.listen), ("join", options.join), ("keys", options.keys)):
             if value is not None:
@@ -365,7 +367,17 @@ def _kind_of_keys(options: RunOptions) -> Literal["certificate", "password"] | N
         return None
     from deploy.security.keyring import Keyring
 
-    return Keyring(options.keys).about.kind
+    return Keyring(options.keys).about
+
+
+def _wire(options: RunOptions, setting: Processes, about: KeyManifest | None) -> WireFormat:
+    """Return the wire format of a run whose options name none."""
+    if about is not None:
+        return about.wire
+    if setting != "each":
+        return "packed"
+    # Whoever is given an address may be any tool, or hardware: these read maps of single cells.
+    return "relayed" if options.listen is None and options.join is None else "per_cell"
 
 
 def _endpoints(options: RunOptions, kind: Literal["certificate", "password"] | None) -> _Endpoints:

@@ -52,6 +52,9 @@ SCRIPTS: dict[str, Smoke] = {
     "deploy/kill_the_plant.py": Smoke("--instants 1 --duration 1", r"1 kills, .*: [0-9a-f]{64}"),
     "deploy/planted_faults.py": Smoke("--programs 2", rf"2 programs in {N} s; 0 with"),
     "deploy/process_faults.py": Smoke("--schedules 1", rf"1 schedules in {N} s: .* 0 with"),
+    "deploy/processes_each.py": Smoke(
+        "motors --processes 2 --ticks 5 --turns 1", rf"relayed +{N} +{N} +{N} +{N} +{N} +{N}"
+    ),
     "deploy/processor_time.py": Smoke(
         "--updates 2000", rf"numbers that differ: 0\n(.*\n)+a byte sent: {N} E"
     ),

@@ -23,7 +23,7 @@ from bus.wire.frames import Control, DriveFrame, LinkFrame, SenseFrame
 
 MESSAGE = np.dtype([("u", "<f8"), ("hops", "<u2")])
 SENSORS = 2
-FORMS: list[WireFormat] = ["packed", "per_cell"]
+FORMS: list[WireFormat] = ["packed", "per_cell", "relayed"]
 both_forms = pytest.mark.parametrize("form", FORMS)
 
 
@@ -72,7 +72,9 @@ class ClockedEndpoint(Endpoint):
         self._inner = inner
         self._clock = clock
 
-    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+    def receive_all(
+        self, timeout_s: float | None, enough: int = 1, quiet_key: str | None = None
+    ) -> list[Event]:
         rest, self._rest = self._rest, []
         events = rest + self._inner.receive_all(0)
         if not events:

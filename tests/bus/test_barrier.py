@@ -24,7 +24,7 @@ def test_the_barrier_names_who_never_appeared_and_who_is_not_ready(memory: Netwo
     clock = FakeClock()
     system = System(memory, Partition.each(grid(1, 3)), form, clock=clock, message=MESSAGE)
     system.member_endpoints[1].declare_alive(
-        "mdms/test/shard/1/alive" if form == "packed" else "mdms/test/cell/0/1/alive"
+        "mdms/test/cell/0/1/alive" if form == "per_cell" else "mdms/test/shard/1/alive"
     )
     system.members[2].ready(5.0)  # its one neighbour subscribed, although it is not ready
     with pytest.raises(BarrierError) as caught:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bus.errors import BusError, RunNameError
-from bus.lockstep import Coordinator, Participant, TickInputs
+from bus.lockstep import Coordinator, MessageCounters, Participant, TickInputs
 from bus.partition import Partition
 from bus.sensors import CameraFrame, SensorSchema
 from bus.wire.formats import WireFormat
@@ -142,7 +142,7 @@ def test_a_report_may_come_after_the_token_has_gone(memory: Network, reports: bo
     assert system.host.unreported == ([] if reports else [3, 4, 5])
 
 
-@both_forms
+@pytest.mark.parametrize("form", ["packed", "per_cell"])
 def test_an_early_frame_is_stored_until_its_tick(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.each(grid(1, 2)), form, message=MESSAGE).start()
     one, other = system.members
@@ -160,6 +160,60 @@ def test_an_early_frame_is_stored_until_its_tick(memory: Network, form: WireForm
         drive, _ = system.host.gather(tick)
         assert drive.drive.tolist() == expected_drive(system, tick).tolist()
     assert system.host.counters.late == 0
+
+
+def test_senses_that_bring_messages_follow_the_drives_that_brought_them(memory: Network) -> None:
+    system = System(memory, Partition.each(grid(1, 2)), "relayed", message=MESSAGE).start()
+    system.host.publish(system.sense(0))
+    with pytest.raises(BusError, match=r"tick 1: brings the messages of the tick before, .* gathered is -1"):
+        system.host.publish(system.sense(1))
+
+
+def test_a_message_that_comes_after_the_senses_ends_the_wait_for_it(network: Network) -> None:
+    system = System(network, Partition.each(grid(1, 2)), "per_cell", message=MESSAGE).start()
+    one, other = system.members
+    step(system, 0)
+    system.host.publish(system.sense(1))
+    links = system.links(0, 1)
+    gathered(one.gather(1))
+    gathered(other.gather(1))
+    other.publish(system.drive(1, 1), system.links(1, 1))
+    system.host.publish(system.sense(2))
+    later = threading.Timer(0.2, lambda: one.publish(system.drive(0, 1), links))
+    later.start()
+    _, received = gathered(other.gather(2))  # the senses are there, the neighbour's message comes
+    later.join()
+    assert links is not None
+    assert received is not None
+    assert (received.tick, received.message.tolist()) == (1, links.message.tolist())
+
+
+@both_forms
+def test_a_resumed_run_reads_the_messages_that_are_sent_again(network: Network, form: WireFormat) -> None:
+    partition = Partition.each(grid(1, 3))
+    system = System(network, partition, form, message=MESSAGE)
+    dead = [0]
+    system.host.resume(7, dead, MessageCounters())
+    for member in system.members:
+        member.resume(7, dead)
+        member.ready(10.0)
+    for shard, member in enumerate(system.members):
+        member.resend_links(system.links(shard, 6))
+    system.host.barrier(10.0)
+    assert (system.host.counters.delivered, system.members[1].counters.sent) == (0, 0)
+    for tick in (7, 8):
+        system.host.publish(system.sense(tick))
+        for shard in (1, 2):
+            received = gathered(system.members[shard].gather(tick)).links
+            incoming, sent = partition.incoming(shard), system.links(3 - shard, tick - 1)
+            assert received is not None
+            assert sent is not None
+            there = incoming.source == 3 - shard
+            expected = [bool(mark) for mark in sent.sent[partition.outgoing(3 - shard).target == shard]]
+            assert received.sent[there].tolist() == expected
+            assert not received.sent[~there].any()
+            system.members[shard].publish(system.drive(shard, tick), system.links(shard, tick))
+        assert system.host.gather(tick)[1] == []
 
 
 @both_forms

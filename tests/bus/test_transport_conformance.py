@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 
 import pytest
 
 from bus.errors import TransportError
-from bus.transports.base import LivelinessChange, Received, Wakeup
+from bus.transports.base import Event, LivelinessChange, Received, Wakeup
 from tests.bus.support import Network, drain, payloads, settle, tokens
 
 
@@ -209,6 +210,55 @@ def test_quiet_payloads_end_no_wait_and_come_before_what_ends_it(network: Networ
     quiet.put(b"4")
     assert plant.receive_all(0.2) == [Received("t/quiet/1", b"4")]
     assert time.monotonic() - start > 0.15
+
+
+def test_a_wait_for_a_quiet_payload_ends_with_it_whether_it_is_there_or_comes(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    plant.subscribe("t/data")
+    plant.subscribe("t/quiet/1", "quiet")
+    plant.subscribe("t/quiet/2", "quiet")
+    one, two = cell.publisher("t/quiet/1"), cell.publisher("t/quiet/2")
+    while not (one.matched() and two.matched()):
+        assert cell.receive(0.005) is None
+    for wait_s in (None, 20.0):
+        one.put(b"there")
+        two.put(b"there")
+        expected = {Received("t/quiet/1", b"there"), Received("t/quiet/2", b"there")}
+        events: list[Event] = []
+        while len(events) < 2:
+            events += plant.receive_all(wait_s, 1, "t/quiet/2" if not events else "t/quiet/1")
+        assert set(events) == expected
+        later = threading.Timer(0.05, lambda: two.put(b"comes"))
+        start = time.monotonic()
+        later.start()
+        assert plant.receive_all(wait_s, 1, "t/quiet/2") == [Received("t/quiet/2", b"comes")]
+        assert 0.04 < time.monotonic() - start < 10.0
+        later.join()
+
+
+def test_a_wait_for_a_quiet_payload_ends_with_what_is_urgent_a_token_or_its_time(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    plant.subscribe("t/data")
+    plant.subscribe("t/quiet", "quiet")
+    plant.subscribe("t/urgent", "urgent")
+    urgent, data = cell.publisher("t/urgent"), cell.publisher("t/data")
+    while not (urgent.matched() and data.matched()):
+        assert cell.receive(0.005) is None
+    plant.watch_alive("t/alive")
+    ways: list[tuple[Callable[[], object], Event]] = [
+        (lambda: urgent.put(b"now"), Received("t/urgent", b"now")),
+        (lambda: cell.declare_alive("t/alive"), LivelinessChange("t/alive", True)),
+        (plant.wake, Wakeup()),
+    ]
+    for end, event in ways:
+        ends = threading.Timer(0.05, end)
+        ends.start()
+        assert plant.receive_all(None, 1, "t/quiet") == [event]
+        ends.join()
+    assert plant.receive_all(0.05, 1, "t/quiet") == []
+    # The next wait is for other payloads again.
+    data.put(b"1")
+    assert plant.receive_all(None) == [Received("t/data", b"1")]
 
 
 def test_receive_takes_one_at_a_time_and_leaves_the_rest(network: Network) -> None:

@@ -70,7 +70,7 @@ def targets() -> list[Target]:
     found = [_control(), _report(), _registers(), _kept(), _request(), _live_fault()]
     for form in FORMS:
         found += [_sense(form, "plain", PRESENCE), _sense(form, "with all readings", EVERYTHING)]
-        found += [_drive(form), _link(form)]
+        found += [_drive(form)] if form == "relayed" else [_drive(form), _link(form)]
     return found
 
 
@@ -86,9 +86,17 @@ def _sense(form: WireFormat, what: str, readings: SensorSchema) -> Target:
 
     def check(value: Any) -> None:
         _check_senses(member.join_senses([value]), readings, cells)
+        if member.relays:
+            _check_links(*member.join_links([], [value]), len(system.partition.incoming(0)))
 
+    said = system.members[1]._form
+    drives = [said.drive_payloads(system.drive(1, frame.tick), frame)[0] for frame in _said(system, 1)]
+    driven = [[host.blank_drives[0], host.decode_drive(1, payload)[1]] for payload in drives]
     frames = tuple(
-        host.sense_payloads(system.sense(i)._replace(tick=tick))[0] for i, tick in enumerate(TICKS)
+        host.sense_payloads(
+            system.sense(i)._replace(tick=tick), host.relay(driven[i], None) if host.relays else None
+        )[0]
+        for i, tick in enumerate(TICKS)
     )
     return Target(f"sense, {form}, {what}", frames, lambda payload: member.decode_sense(0, payload), check)
 
@@ -119,11 +127,19 @@ def _drive(form: WireFormat) -> Target:
     cells = 1 if form == "per_cell" else len(system.partition.cells(0))
 
     def check(value: Any) -> None:
-        drives = np.frombuffer(value).reshape(-1, 2) if isinstance(value, bytes) else value
+        packed = value.drive if host.relays else value
+        drives = np.frombuffer(packed).reshape(-1, 2) if isinstance(packed, bytes) else packed
         assert drives.shape == (cells, 2)
         assert np.isfinite(drives).all()
+        if host.relays:
+            links = len(system.partition.outgoing(0))
+            assert (len(value.sent), len(value.message)) == (links, links * MESSAGE.itemsize)
+            assert set(value.sent) <= {0, 1}
 
-    frames = tuple(system.members[0]._form.drive_payloads(system.drive(0, tick))[0] for tick in TICKS)
+    frames = tuple(
+        system.members[0]._form.drive_payloads(system.drive(0, frame.tick), frame)[0]
+        for frame in _said(system, 0)
+    )
     return Target(f"drive, {form}", frames, lambda payload: host.decode_drive(0, payload), check)
 
 
@@ -133,20 +149,23 @@ def _link(form: WireFormat) -> Target:
     count = 1 if form == "per_cell" else len(system.partition.incoming(1))
 
     def check(value: Any) -> None:
-        sent, message = hearer.join_links([value])
-        assert (len(sent), len(message)) == (count, count)
-        assert set(sent.tobytes()) <= {0, 1}
-        assert message.dtype == MESSAGE
-        assert set(message["flag"].tobytes()) <= {0, 1}
-        assert message[~sent].tobytes() == bytes(MESSAGE.itemsize * int((~sent).sum()))
+        _check_links(*hearer.join_links([value], []), count)
 
-    frames = tuple(payload for frame in _said(system) for payload in sender.link_payloads(frame)[:3])
+    frames = tuple(payload for frame in _said(system, 0) for payload in sender.link_payloads(frame)[:3])
     return Target(f"link, {form}", frames, lambda payload: hearer.decode_link(0, payload), check)
 
 
-def _said(system: System) -> Iterator[LinkFrame]:
-    """What shard 0 says: every field at its least, greatest and ordinary."""
-    links = len(system.partition.outgoing(0))
+def _check_links(sent: Any, message: Any, count: int) -> None:
+    assert (len(sent), len(message)) == (count, count)
+    assert set(sent.tobytes()) <= {0, 1}
+    assert message.dtype == MESSAGE
+    assert set(message["flag"].tobytes()) <= {0, 1}
+    assert message[~sent].tobytes() == bytes(MESSAGE.itemsize * int((~sent).sum()))
+
+
+def _said(system: System, shard: int) -> Iterator[LinkFrame]:
+    """What a shard says: every field at its least, greatest and ordinary."""
+    links = len(system.partition.outgoing(shard))
     for i, tick in enumerate(TICKS):
         message = np.zeros(links, dtype=MESSAGE)
         for name in MESSAGE.names or ():

@@ -84,7 +84,7 @@ def test_a_plan_says_what_would_be_started_and_starts_nothing(mdms: Start) -> No
     status, stdout, stderr = running.end()
     plan = json.loads(stdout)
     assert (status, stderr, running.seen) == (0, "", set())
-    assert plan["wire"] == "per_cell"
+    assert plan["wire"] == "relayed"
     assert [process["role"] for process in plan["start"]] == ["plant"] + ["cells"] * 18
     assert plan["start"][1]["name"] == "cell 0,0"
     assert plan["start"][1]["cells"] == ["0,0"]

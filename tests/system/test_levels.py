@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bus.wire.keys import WireFormat
 from deploy.recordings.reader import load
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
-from deploy.workers.plan import RunOptions, Transport, Wire
+from deploy.workers.plan import RunOptions, Transport
 from plant.plant import Plant
 
 PLAIN = """
@@ -52,7 +53,7 @@ class Followers(Firmware):
 def test_firmware_reads_what_the_plant_has_as_the_converter_has_it(
     firmware: str,
     transport: Transport,
-    wire: Wire,
+    wire: WireFormat,
     adc: bool,
     small: Callable[[str], Path],
     tmp_path: Path,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from bus.wire.keys import WireFormat
 from cell_firmware.effects.registry import CellEffects
 from deploy.recordings.reader import load
 from deploy.runs.run import run
@@ -14,9 +15,9 @@ from deploy.runs.summary import Summary
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
-from deploy.workers.plan import Processes, RunOptions, Transport, Wire
+from deploy.workers.plan import Processes, RunOptions, Transport
 
-Way = tuple[Processes, Transport, Wire]
+Way = tuple[Processes, Transport, WireFormat]
 
 WAYS: list[Way] = [
     (0, "memory", "packed"),
@@ -27,8 +28,10 @@ WAYS: list[Way] = [
     (1, "zenoh", "per_cell"),
     (2, "zenoh", "packed"),
     (2, "zenoh", "per_cell"),
+    (0, "memory", "relayed"),
+    (2, "zenoh", "relayed"),
 ]
-EACH: list[Way] = [("each", "zenoh", "per_cell"), ("each", "zenoh", "packed")]
+EACH: list[Way] = [("each", "zenoh", "per_cell"), ("each", "zenoh", "packed"), ("each", "zenoh", "relayed")]
 
 CRASHES = """
 [stall]
@@ -117,7 +120,7 @@ def test_boards_act_alike_however_the_scene_is_cut(more: tuple[str, ...], tmp_pa
     scene = load_scene("prototype", [Override.parse(change) for change in ("duration_s=0.15", *more)])
     if more:
         assert {name for name, _ in scene.effects.enabled()} >= set(CellEffects.model_fields)
-    summaries = {way: _run(scene, way, tmp_path) for way in [*WAYS, EACH[0]]}
+    summaries = {way: _run(scene, way, tmp_path) for way in [*WAYS, EACH[0], EACH[2]]}
     assert {summary.status for summary in summaries.values()} == {"ok"}
     assert len({summary.digest for summary in summaries.values()}) == 1
     assert len({str(summary.effects) for summary in summaries.values()}) == 1

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from bus.wire.keys import WireFormat
 from deploy.runs.run import run
 from deploy.runs.summary import Summary
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
-from deploy.workers.plan import Processes, RunOptions, Transport, Wire
+from deploy.workers.plan import Processes, RunOptions, Transport
 
 PLAIN = """
 from cell_firmware.cell import CellFirmware, CellOutputs
@@ -70,8 +71,8 @@ EFFECTS = {
     "scanners": {"cells": [[0, 0], [1, 1], [1, 2], [2, 1]]},
     "camera": {"period_s": 0.02, "latency_s": 0.005, "position_noise_m": 0.01, "angle_noise_rad": 0.1},
 }
-ONE_PROCESS: tuple[Processes, Transport, Wire] = (0, "memory", "packed")
-WAYS: list[tuple[Processes, Transport, Wire]] = [
+ONE_PROCESS: tuple[Processes, Transport, WireFormat] = (0, "memory", "packed")
+WAYS: list[tuple[Processes, Transport, WireFormat]] = [
     ONE_PROCESS,
     (0, "memory", "per_cell"),
     (2, "zenoh", "packed"),
@@ -96,7 +97,7 @@ def scene_with(small: Callable[[str], Path], tmp_path: Path) -> Callable[..., Sc
     return make
 
 
-def summary_of(scene: Scene, way: tuple[Processes, Transport, Wire], output: Path) -> Summary:
+def summary_of(scene: Scene, way: tuple[Processes, Transport, WireFormat], output: Path) -> Summary:
     processes, transport, wire = way
     options = RunOptions(processes, transport, wire, output=output, picture=False)
     found = run(scene, options, quiet=True).summary

@@ -175,12 +175,14 @@ class ZenohEndpoint(Endpoint):
         )
         self._watchers.append(watcher)
 
-    def receive_all(self, timeout_s: float | None, enough: int = 1) -> list[Event]:
+    def receive_all(
+        self, timeout_s: float | None, enough: int = 1, quiet_key: str | None = None
+    ) -> list[Event]:
         """All events; a wait of more than a tenth of a second may end as much later."""
         if self.closed or self._forks != _forks:
             self.check_usable()
         rest, self._rest = self._rest, []
-        return rest + self._mail.poll_all(0 if rest else timeout_s, enough)
+        return rest + self._mail.poll_all(0 if rest else timeout_s, enough, quiet_key)
 
     def wake(self) -> None:
         """Put one ``Wakeup`` in the inbox."""

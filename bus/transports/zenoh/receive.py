@@ -139,7 +139,9 @@ class ReceiveQueue:
         self._news: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._main: Channel | None = None
         self._waking: list[Channel] = []
-        self._quiet: list[Channel] = []
+        self._quiet: dict[str, Channel] = {}
+        self._awaited: Channel | None = None
+        """The channel that the reader waits in, now or at its next wait."""
         self._subscribers: list[object] = []
         self._alarm = WakeupTimer(self._ring)
 
@@ -155,28 +157,33 @@ class ReceiveQueue:
     def subscribe(self, key_expr: str, haste: Urgency) -> None:
         """Subscribes. The reader sleeps in the first channel that is to wake it; what any other brings is news."""
         if haste == "quiet":
-            self._quiet.append(Channel(self._session, key_expr))
+            self._quiet[key_expr] = Channel(self._session, key_expr)
         elif haste == "wake" and self._main is None:
-            self._main = Channel(self._session, key_expr)
+            self._main = self._awaited = Channel(self._session, key_expr)
             self._waking.append(self._main)
         else:
             self._subscribers.append(self._session.declare_subscriber(key_expr, self.enqueuer(_payload)))
 
-    def poll_all(self, timeout_s: float | None, enough: int) -> list[Event]:
+    def poll_all(self, timeout_s: float | None, enough: int, quiet_key: str | None = None) -> list[Event]:
         """All that is there, once it is enough or there is news; see ``Endpoint``."""
         until = None if timeout_s is None else time.monotonic() + timeout_s
         left = timeout_s
         data: list[Event] = []
         news: list[Event] = []
+        quiet: list[Event] = []
+        if quiet_key is None:
+            self._awaited, found = self._main, data
+        else:
+            self._awaited, found, enough = self._quiet[quiet_key], quiet, 1
         while True:
+            # Another thread adds news first and rings the awaited channel then: one of both is seen here.
             if self._news.empty() and (left is None or left > 0.0):
-                self._sleep(left, until, data, news)
+                self._sleep(left, until, found, news)
             self._look(data, news)
-            if news or len(data) >= enough or (left is not None and left <= 0.0):
+            if news or len(found) >= enough or (left is not None and left <= 0.0):
                 break
             left = None if until is None else until - time.monotonic()
-        quiet: list[Event] = []
-        drain(self._quiet, quiet)
+        drain(self._quiet.values(), quiet)
         return quiet + data + news
 
     def close(self) -> None:
@@ -193,28 +200,35 @@ class ReceiveQueue:
             while not empty():
                 news.append(self._news.get())
 
-    def _sleep(self, left: float | None, until: float | None, data: list[Event], news: list[Event]) -> None:
-        """Wait until an event may have arrived, or the time is up."""
-        main = self._main
-        if main is None:
+    def _sleep(self, left: float | None, until: float | None, found: list[Event], news: list[Event]) -> None:
+        """Wait until an event may have arrived, or the time is up.
+
+        Args:
+            left: Wall seconds to wait; None: any time.
+            until: When that is over, by ``time.monotonic``.
+            found: Events to add a payload of the awaited channel to.
+            news: Events to add news to, where there is no channel.
+        """
+        awaited = self._awaited
+        if awaited is None:
             try:
                 news.append(self._news.get(timeout=left))
             except queue.Empty:
                 return
         elif left is None:
-            main.wait(data)
+            awaited.wait(found)
         elif left <= _SHORT_S:
             time.sleep(min(left, _LOOK_S))
         else:
             self._alarm.set(until)
             try:
-                main.wait(data)
+                awaited.wait(found)
             finally:
                 self._alarm.set(None)
 
     def _ring(self) -> None:
-        if self._main is not None:
-            self._main.ring()
+        if (awaited := self._awaited) is not None:
+            awaited.ring()
 
 
 def _payload(sample: zenoh.Sample) -> Event:

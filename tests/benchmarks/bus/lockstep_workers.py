@@ -23,8 +23,8 @@ def bare_worker(case: Case, shard: int, locator: str) -> float:
     endpoint = open_client(locator)
     session = endpoint.session
     rows, links = len(case.partition().cells(shard)), len(case.partition().outgoing(shard))
-    drives = form.drive_payloads(DriveFrame(1000, np.full((rows, 2), 0.1)))
     frame = LinkFrame(1000, np.ones(links, dtype=np.bool_), np.full(links, 0.1).view(MESSAGE))
+    drives = form.drive_payloads(DriveFrame(1000, np.full((rows, 2), 0.1)), frame)
     messages = form.link_payloads(frame)
     sense = session.declare_subscriber(f"bare/{shard}/sense/*", handlers.FifoChannel(CAPACITY))
     heard = session.declare_subscriber(f"bare/{shard}/link/*/*", handlers.FifoChannel(CAPACITY))

@@ -1,4 +1,4 @@
-"""Both wire forms carry the same values; no payload breaks them."""
+"""All wire forms carry the same values; no payload breaks them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tests.bus.support import grid
 MESSAGE = check_message(
     np.dtype([("u", "<f8"), ("w", "<f4"), ("n", "<i2"), ("m", "<u8"), ("there", "?"), ("h", "<f2")])
 )
-FORM_NAMES: list[WireFormat] = ["packed", "per_cell"]
+FORM_NAMES: list[WireFormat] = ["packed", "per_cell", "relayed"]
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -65,24 +65,24 @@ def over_the_wire(
         levels=sense.level is not None,
         labels=0 if sense.label is None else 4,
     )
-    sent = dict(zip(host.sense_keys, host.sense_payloads(sense), strict=True))
-    sensed: list[Any] = []
-    for member in members:
-        values = [member.decode_sense(unit, sent[key])[1] for key, unit in member.sense_units.items()]
-        sensed.append(member.join_senses(values))
     driven: list[Any] = list(host.blank_drives)
-    for member, drive in zip(members, drives, strict=True):
-        for key, payload in zip(member.drive_keys, member.drive_payloads(drive), strict=True):
+    for member, drive, frame in zip(members, drives, links, strict=True):
+        for key, payload in zip(member.drive_keys, member.drive_payloads(drive, frame), strict=True):
             unit = host.drive_units[key]
             tick, driven[unit] = host.decode_drive(unit, payload)
             assert tick == drive.tick
     said: dict[str, bytes] = {}
     for member, frame in zip(members, links, strict=True):
         said.update(zip(member.out_keys, member.link_payloads(frame), strict=True))
+    relayed = host.relay(driven, None) if host.relays else None
+    sent = dict(zip(host.sense_keys, host.sense_payloads(sense, relayed), strict=True))
+    sensed: list[Any] = []
     received: list[Any] = []
     for member in members:
+        units = [member.decode_sense(unit, sent[key])[1] for key, unit in member.sense_units.items()]
+        sensed.append(member.join_senses(units))
         values = [member.decode_link(part, said[key])[1] for key, part in member.in_parts.items()]
-        received.append(member.join_links(values))
+        received.append(member.join_links(values, units))
     return sensed, host.join_drives(driven), received
 
 
@@ -96,7 +96,7 @@ def over_the_wire(
     sent=hnp.arrays(np.bool_, (6,)),
     tick=st.integers(0, 2**62 - 1),
 )
-def test_both_forms_give_back_what_was_put_in_to_the_bit(
+def test_all_forms_give_back_what_was_put_in_to_the_bit(
     bits: Any, travel: Any, level: Any, drive: Any, message: Any, sent: Any, tick: int
 ) -> None:
     expected = np.where(sent, message, np.zeros((), MESSAGE))
@@ -140,7 +140,11 @@ def test_without_encoders_travel_is_nil(form: WireFormat) -> None:
 def test_a_run_without_levels_has_no_field_for_them(form: WireFormat) -> None:
     host, _ = sides(form)
     for payload in host.sense_payloads(SenseFrame(0, np.ones((6, 3), np.bool_), np.zeros((6, 2)))):
-        assert msgpack.unpackb(payload).keys() == {"v", "tick", "presence", "encoder_m"}
+        fields = msgpack.unpackb(payload)
+        links = {"sent", "message"} if form == "relayed" else set[str]()
+        empty = {"level", "label"} if form == "relayed" else set[str]()
+        assert fields.keys() == {"v", "tick", "presence", "encoder_m"} | links | empty
+        assert {fields[name] for name in empty} <= {b""}
 
 
 @pytest.mark.parametrize("form", FORM_NAMES)
@@ -261,19 +265,32 @@ def good_payloads(form: WireFormat) -> list[tuple[Any, bytes]]:
     seeing, (feeling, _) = sides(form, levels=True)
     levels = seeing.sense_payloads(SenseFrame(5, there, travel, np.full((6, 3), 0.1)))[0]
     drive = member.drive_payloads(DriveFrame(5, np.full((3, 2), 0.1)))[0]
-    link = member.link_payloads(LinkFrame(5, np.ones(3, np.bool_), np.ones(3, MESSAGE)))[0]
-    silent = member.link_payloads(LinkFrame(5, np.zeros(3, np.bool_), np.ones(3, MESSAGE)))[0]
+    links = LinkFrame(5, np.ones(3, np.bool_), np.ones(3, MESSAGE))
+    silence = LinkFrame(5, np.zeros(3, np.bool_), np.ones(3, MESSAGE))
     control = encode_control(Control("lost", 5, ((0, 1), (1, 2)), "timed_out"))
     report = encode_report(Report("failed", 5, ((0, 1),), "trace", (1, 2, 3, 4), (("lost", 5),)))
     return [
         (lambda payload: member.decode_sense(0, payload), sense),
         (lambda payload: host.decode_drive(0, payload), drive),
-        (lambda payload: member.decode_link(0, payload), link),
-        (lambda payload: member.decode_link(0, payload), silent),
+        *_of_links(form, links, silence),
         (lambda payload: decode_control(payload, 6), control),
         (lambda payload: decode_report(payload, 6), report),
         (lambda payload: feeling.decode_sense(0, payload), levels),
         *_of_scanners_and_camera(form),
+    ]
+
+
+def _of_links(form: WireFormat, *frames: LinkFrame) -> list[tuple[Any, bytes]]:
+    """Of what brings messages: payloads of their own, or drives."""
+    host, (member, _) = sides(form)
+    drive = DriveFrame(5, np.full((3, 2), 0.1))
+    if host.relays:
+        return [
+            (lambda payload: host.decode_drive(0, payload), member.drive_payloads(drive, links)[0])
+            for links in frames
+        ]
+    return [
+        (lambda payload: member.decode_link(0, payload), member.link_payloads(links)[0]) for links in frames
     ]
 
 
@@ -417,18 +434,19 @@ def test_a_level_that_is_no_share_is_refused_and_so_is_one_where_none_was_agreed
         host, (member, _) = sides(form, levels=True)
         _, (plain, _) = sides(form)
         good = host.sense_payloads(SenseFrame(0, there, travel, level))[0]
+        unasked = {"packed": "sense: length", "per_cell": "sense: fields", "relayed": "sense: size"}
         bare = msgpack.packb(
             {name: value for name, value in msgpack.unpackb(good).items() if name != "level"}
         )
         assert refusal(lambda p, m=member: m.decode_sense(0, p), bare) == "sense: fields"
-        unasked = "sense: length" if form == "packed" else "sense: fields"
-        assert refusal(lambda p, m=plain: m.decode_sense(0, p), good) == unasked
+        assert refusal(lambda p, m=plain: m.decode_sense(0, p), good) == unasked[form]
         for bad in (-1e-9, np.nextafter(1.0, 2.0), np.inf, np.nan):
             wrong = level.copy()
             wrong[0, 2] = bad
             payload = host.sense_payloads(SenseFrame(0, there, travel, wrong))[0]
             assert refusal(lambda p, m=member: m.decode_sense(0, p), payload) == "sense: range"
     # whole numbers, and lists that are none
+    host, (member, _) = sides("per_cell", levels=True)
     fields = {"v": 2, "tick": 0, "presence": [True] * 3, "encoder_m": [0, 0]}
     assert member.decode_sense(0, msgpack.packb({**fields, "level": [0, 1, 0.5]}))[0] == 0
     assert refusal(lambda p: member.decode_sense(0, p), {**fields, "level": [0.5, 0.5]}) == "sense: type"
@@ -451,8 +469,8 @@ def test_labels_and_pictures_that_no_run_can_have_are_refused(form: WireFormat) 
 
     too_large = host.sense_payloads(frame._replace(label=np.full(6, 5), picture=None))[0]
     assert refusal(lambda payload: member.decode_sense(0, payload), too_large) == "sense: range"
-    assert refused(label=b"\x00" * 5) == ("sense: size" if form == "packed" else "sense: type")
-    assert refused(label=True) == ("sense: size" if form == "packed" else "sense: type")
+    assert refused(label=b"\x00" * 5) == ("sense: type" if form == "per_cell" else "sense: size")
+    assert refused(label=True) == ("sense: type" if form == "per_cell" else "sense: size")
     row = [1, 0.0, 0.0, 0.0]
     for picture in (1, [1], [row[:3]], [[*row, 0.0]], [[1.0, *row[1:]]], [[True, *row[1:]]], [row] * 4):
         assert refused(picture=picture) == "sense: type"
@@ -465,6 +483,82 @@ def test_labels_and_pictures_that_no_run_can_have_are_refused(form: WireFormat) 
         "sense: length",
         "sense: fields",
     )
+
+
+def test_a_relayed_payload_whose_booleans_sizes_or_drives_are_wrong_is_refused() -> None:
+    host, (member, _) = sides("relayed")
+    links = LinkFrame(0, np.ones(3, np.bool_), np.zeros(3, MESSAGE))
+    drive = msgpack.unpackb(member.drive_payloads(DriveFrame(0, np.zeros((3, 2))), links)[0])
+    sense = msgpack.unpackb(
+        host.sense_payloads(SenseFrame(0, np.ones((6, 3), np.bool_), np.zeros((6, 2))))[0]
+    )
+    odd = bytearray(drive["message"])
+    odd[MESSAGE.fields["there"][1] + MESSAGE.itemsize] = 7  # type: ignore[index]
+
+    def refused_drive(**changed: object) -> set[str]:
+        """Names of the errors: with the tick as wide as the emulator writes it, and narrower."""
+        wide = msgpack.packb({**drive, **changed}).replace(b"\xa4tick\x00", b"\xa4tick\xcf" + bytes(8))
+        return {refusal(lambda p: host.decode_drive(0, p), p) for p in (wide, {**drive, **changed})}
+
+    assert refused_drive(drive=b"\xff" * 48) == {"drive: finite"}
+    assert refused_drive(drive=b"\x00" * 47) == {"drive: size"}
+    assert refused_drive(sent=b"\x01\x02\x01") == {"drive: type"}
+    assert refused_drive(sent=b"\x01\x01") == {"drive: size"}
+    assert refused_drive(message=bytes(odd)) == {"drive: type"}
+    assert refused_drive(message=None) == {"drive: size"}
+    assert refused_drive(more=1) == {"drive: fields"}
+
+    def refused_sense(**changed: object) -> str:
+        return refusal(lambda payload: member.decode_sense(0, payload), {**sense, **changed})
+
+    assert refused_sense(presence=b"\x02" * 9) == "sense: type"
+    assert refused_sense(sent=b"\x02" * 3) == "sense: type"
+    assert refused_sense(message=bytes(odd)) == "sense: type"
+    assert refused_sense(encoder_m=b"") == "sense: size"
+    assert refused_sense(label=b"\x00\x00") == "sense: size"
+
+
+def test_messages_of_dead_cells_are_not_relayed() -> None:
+    host, members = sides("relayed")
+    links = LinkFrame(0, np.ones(3, np.bool_), np.ones(3, MESSAGE))
+    drives = [member.drive_payloads(DriveFrame(0, np.zeros((3, 2))), links)[0] for member in members]
+    values = [host.decode_drive(unit, payload)[1] for unit, payload in enumerate(drives)]
+    live = np.array([True, False, True, True, True, True])
+    relayed = host.relay(values, live)
+    payloads = host.sense_payloads(SenseFrame(1, np.ones((6, 3), np.bool_), np.zeros((6, 2))), relayed)
+    heard = [
+        member.join_links([], [member.decode_sense(0, payload)[1]])
+        for member, payload in zip(members, payloads, strict=True)
+    ]
+    assert [sent.tolist() for sent, _ in heard] == [[True] * 3, [True, False, True]]
+    assert [bool(one["there"]) for one in heard[1][1]] == [True, False, True]
+
+
+@pytest.mark.parametrize("shards", [[[0, 2, 4], [1, 3, 5]], [[5], [3], [0, 1, 2], [4]]])
+def test_messages_find_their_receivers_whatever_the_order_of_shards_and_cells(
+    shards: list[list[int]],
+) -> None:
+    partition = Partition(grid(2, 3), shards)
+    wiring = RunSchema("test", partition, SensorSchema(1), check_message(np.dtype([("name", "<i8")])))
+    host = FORMATS["relayed"].coordinator(wiring)
+    members = [FORMATS["relayed"].participant(wiring, shard) for shard in range(len(shards))]
+    values: list[Any] = []
+    for shard, member in enumerate(members):
+        out, cells = partition.outgoing(shard), partition.cells(shard)
+        message = np.zeros(len(out), wiring.message)
+        message["name"] = 10 * out.source + out.source_side
+        drive = DriveFrame(0, np.stack([cells, -cells], axis=1).astype(np.float64))
+        payload = member.drive_payloads(drive, LinkFrame(0, np.ones(len(out), np.bool_), message))[0]
+        values.append(host.decode_drive(shard, payload)[1])
+    assert host.join_drives(values).tolist() == [[i, -i] for i in range(6)]
+    there = np.arange(6).reshape(6, 1) % 2 == 0
+    payloads = host.sense_payloads(SenseFrame(1, there, None), host.relay(values, None))
+    for shard, (member, payload) in enumerate(zip(members, payloads, strict=True)):
+        sensed = member.decode_sense(0, payload)[1]
+        assert member.join_senses([sensed]).presence.tolist() == there[partition.cells(shard)].tolist()
+        incoming = partition.incoming(shard)
+        _, message = member.join_links([], [sensed])
+        assert message["name"].tolist() == (10 * incoming.source + incoming.source_side).tolist()
 
 
 def test_records_survive_the_wire() -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from bus.wire.keys import WireFormat
 from deploy.errors import InputError
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
+from deploy.security.generate import generate_keys
+from deploy.security.roles import roles_of
 from deploy.workers.plan import Plan, RunOptions, free_port, joined_at, plan
 
 
@@ -34,10 +38,27 @@ def test_one_processor_core_gets_one_worker(monkeypatch: pytest.MonkeyPatch) -> 
     assert _plan(load_scene("elliptic", [Override(("array", "rows"), 51, "")])).workers == 1
 
 
-def test_a_process_a_cell_speaks_the_form_of_cells_and_others_the_packed_one(motors: Scene) -> None:
-    assert _plan(motors, processes="each").wire == "per_cell"
+def test_a_process_a_cell_has_its_messages_relayed_unless_others_are_given_an_address(motors: Scene) -> None:
+    assert _plan(motors, processes="each").wire == "relayed"
     assert _plan(motors, processes=18).wire == "packed"
     assert _plan(motors, processes="each", wire="packed").wire == "packed"
+    endpoint = "tcp/127.0.0.1:7447"
+    assert _plan(motors, processes="each", listen=endpoint).wire == "per_cell"
+    assert _plan(motors, processes="each", join="unixsock-stream/some/where").wire == "per_cell"
+    assert _plan(motors, processes="each", listen=endpoint, wire="relayed").wire == "relayed"
+    assert _plan(motors, processes=2, listen=endpoint).wire == "packed"
+
+
+@pytest.mark.parametrize("wire", ["packed", "per_cell", "relayed"])
+def test_a_run_with_keys_has_the_wire_form_of_the_keys(
+    motors: Scene, wire: WireFormat, tmp_path: Path
+) -> None:
+    made = _plan(motors, processes="each", wire=wire)
+    folder = tmp_path / "keys"
+    generate_keys(folder, "motors", made.cut, "password", hosts=(), days=1, force=False)
+    listening = _plan(motors, processes="each", keys=folder, listen="tcp/127.0.0.1:7447")
+    assert listening.wire == wire
+    assert roles_of(listening.cut) == roles_of(made.cut)
 
 
 def test_every_cell_is_in_exactly_one_process(motors: Scene) -> None:
