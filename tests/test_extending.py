@@ -248,6 +248,7 @@ def test_the_additions_keep_the_import_contracts_and_the_style(everything: Path)
     assert layout.returncode == 0, layout.stdout + layout.stderr
 
 
+@pytest.mark.slow
 def test_the_tests_that_the_page_names_fail_until_they_are_extended(everything: Path) -> None:
     named = sorted(set(COMPARED.findall(PAGE)))
     assert len(named) == 7

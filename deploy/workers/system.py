@@ -182,7 +182,8 @@ class System:
         """Restart the process of a shard, whose cells then rejoin the run."""
         assert self._cells is not None
         assert self._order is not None
-        self._cells.restart(replace(self._order, joins_running=True), shard)
+        # in a run that was resumed, too, cells start as after power-on: the resume point has passed
+        self._cells.restart(replace(self._order, joins_running=True, resumed=None), shard)
 
     def ended(self, shard: int) -> bool:
         """Whether the process of a shard has ended."""

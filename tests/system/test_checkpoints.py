@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +24,8 @@ from deploy.runs.run import run
 from deploy.runs.summary import Outcome
 from deploy.scenes.files import load_scene
 from deploy.workers.plan import Processes, RunOptions
-from tests.system.killed import assert_whole, ended, kill_after, start
+from tests.system.killed import assert_whole, ended, kill_after, reached, start
+from tests.system.running import name_of
 
 Small = Callable[..., Path]
 
@@ -128,6 +131,22 @@ def test_a_killed_plant_is_taken_up_again_and_killed_again(tmp_path: Path) -> No
     assert len(summary["resumed"]) == 2
     assert summary["resumed"][0] >= first.tick
     assert_whole(folder, summary["ticks"], summary["digest"])
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_in_a_resumed_run_starts_again(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    small = ("--set", "array.rows=3", "--set", "array.columns=6", "--duration", 3)
+    kept = ("--processes", 2, "--respawn", 1, "--realtime", 1, "--checkpoint", 0.1, "--output", folder)
+    first = kill_after(start(folder, "heat", *small, *kept), 0, 0.0)
+    assert first is not None
+    again = start(folder, "--resume", folder, "--realtime", 1)
+    again.wait_for(lambda: reached(folder) > first.tick, "a checkpoint was written")
+    workers = [pid for pid in again.children() if name_of(pid).startswith("shard")]
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    summary = ended(again)
+    assert [fault["kind"] for fault in summary["faults"]] == ["disconnected", "respawn"]
 
 
 @pytest.mark.parametrize(
