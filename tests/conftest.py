@@ -100,8 +100,14 @@ FOLDERS = {
 """Folders of a mark."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of a tier by their folder; ``slow`` is marked where a test stands."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the tests of a tier by their folder; ``slow`` and ``nightly`` are marked where a test stands."""
+    late = (
+        set() if config.getoption("nightly") else {one for one in items if one.get_closest_marker("nightly")}
+    )
+    if late:
+        config.hook.pytest_deselected(items=list(late))
+        items[:] = [one for one in items if one not in late]
     for item in items:
         for name, folders in FOLDERS.items():
             if any(Path(__file__).parent / folder in item.path.parents for folder in folders):

@@ -45,11 +45,14 @@ def test_a_step_ends_where_a_wheel_begins_or_ceases_to_slip_instead_of_shrinking
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_coulomb_keeps_its_tolerance_against_the_reference_in_every_scene() -> None:
+def test_coulomb_keeps_its_tolerance_against_the_reference_in_every_scene(
+    request: pytest.FixtureRequest,
+) -> None:
+    tried = SEEDS if request.config.getoption("nightly") else SEEDS[:24]
     kinds: list[str] = []
     scenes = 0
     off: list[float] = []
-    for seed in SEEDS:
+    for seed in tried:
         try:
             reference, known = solve_reference(seed)
         except LiftedError:
@@ -59,8 +62,8 @@ def test_coulomb_keeps_its_tolerance_against_the_reference_in_every_scene() -> N
         for tolerance in (1e-4, 1e-6, 1e-8, 1e-10):
             off.append(off_m(seed, controlled(tolerance), known) / tolerance)
             assert off[-1] <= 1.0, (seed, tolerance)
-    assert scenes >= 50
-    assert {kind: kinds.count(kind) >= 10 for kind in ("slip ends", "stick ends", "edge")} == {
+    assert scenes >= 0.9 * len(tried)
+    assert {kind: 6 * kinds.count(kind) >= len(tried) for kind in ("slip ends", "stick ends", "edge")} == {
         "slip ends": True,
         "stick ends": True,
         "edge": True,

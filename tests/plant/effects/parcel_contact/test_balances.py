@@ -15,7 +15,12 @@ from tests.plant.scenes import TICK_NS, G, spec
 
 BALANCED = 1e-9
 """Of momentum, N s and N m s, and of energy, J; parcels of 2 kg have about 1 m/s."""
-SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 20))]
+SEEDS = [
+    0,
+    1,
+    *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6)),
+    *(pytest.param(seed, marks=[pytest.mark.slow, pytest.mark.nightly]) for seed in range(6, 20)),
+]
 
 
 def thrown(seed: int, count: int = 8) -> tuple[ParcelSpec, ...]:

@@ -224,7 +224,14 @@ def exhaustive(island: Island, friction: float) -> list[Floats]:
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 @pytest.mark.parametrize(
     ("seed", "cases"),
-    [(11, 30), *(pytest.param(seed, CASES // 5, marks=pytest.mark.slow) for seed in range(5))],
+    [
+        (11, 30),
+        pytest.param(0, CASES // 5, marks=pytest.mark.slow),
+        *(
+            pytest.param(seed, CASES // 5, marks=[pytest.mark.slow, pytest.mark.nightly])
+            for seed in range(1, 5)
+        ),
+    ],
 )
 def test_velocities_are_among_those_of_an_exhaustive_search(seed: int, cases: int, friction: float) -> None:
     far = np.zeros(cases)

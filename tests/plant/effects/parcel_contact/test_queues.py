@@ -101,7 +101,8 @@ def test_a_queue_comes_to_rest_under_coulomb(count: int, friction: float) -> Non
     [
         (3, 0.0),
         *(pytest.param(3, mu, marks=pytest.mark.slow) for mu in (0.05, 0.1, 0.3, 0.5, 1.0)),
-        *(pytest.param(5, mu, marks=pytest.mark.slow) for mu in (*ROUGH, 0.5)),
+        *(pytest.param(5, mu, marks=pytest.mark.slow) for mu in (0.0, 0.3)),
+        *(pytest.param(5, mu, marks=[pytest.mark.slow, pytest.mark.nightly]) for mu in (0.1, 0.5, 1.0)),
     ],
 )
 def test_a_block_comes_to_rest_in_a_corner(side: int, friction: float) -> None:
