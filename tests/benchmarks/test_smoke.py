@@ -93,19 +93,14 @@ SCRIPTS: dict[str, Smoke] = {
     "protocols/vehicle_over_bad_links.py": Smoke("--seeds 1", rf" {N} of {N}\s*$"),
 }
 
-LONG = {"bus/listeners_cost.py", "bus/keys_cost.py", "deploy/warm_start.py"}
-"""Twenty seconds each: run at night."""
-
 NEEDS = {"plant/contact_queues.py": "mujoco", "plant/mujoco_parcel.py": "mujoco"}
 """Packages that come with an extra."""
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.timeout(120)
-@pytest.mark.parametrize(
-    "script",
-    [pytest.param(name, marks=pytest.mark.nightly) if name in LONG else name for name in SCRIPTS],
-)
+@pytest.mark.parametrize("script", SCRIPTS)
 def test_a_benchmark_runs_and_prints_figures(script: str) -> None:
     if script in NEEDS:
         pytest.importorskip(NEEDS[script])
