@@ -95,7 +95,7 @@ class EventLog:
             cells = tuple(dict.fromkeys((self._array.lattice.cells[a], self._array.lattice.cells[b])))
             named = " and ".join(f"{row},{column}" for row, column in cells)
             outcome = "tipped" if self._array.cells_beyond(a, b, state[:2]) else "off_array"
-            detail = f"about the edge from cell {named}" if len(cells) == 2 else f"about cell {named}"
+            detail = f"about the line through cells {named}" if len(cells) == 2 else f"about cell {named}"
         self._status[i] = ParcelStatus(outcome, time_s, detail)
         return Event(time_s, outcome, i, cells, place, detail)
 

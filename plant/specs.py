@@ -39,7 +39,7 @@ def disagreements(
         yield ("solver", "name"), solver.name, rule
     if effects is not None and effects.load_transfer is not None and friction.traction().static_ratio != 1.0:
         rule = "doesn't go with effects.load_transfer: loads that depend on who sticks need not balance"
-        yield ("friction", "static_coefficient"), "", rule
+        yield ("friction", "static_coefficient"), None, rule
     uneven = None if effects is None else effects.uneven_friction
     if uneven is not None and not friction.by_load:
         rule = "doesn't depend on the load, so effects.uneven_friction can't vary it; leave it out"

@@ -43,10 +43,10 @@ class PlantEffects(Effects):
         if self.wheel_load is None or self.motors is None:
             return
         if self.wheel_inertia_kg is None:
-            yield ("effects", "wheel_load"), "", "needs inertia_kg, unless effects.motors.dc determines it"
+            yield ("effects", "wheel_load"), None, "needs inertia_kg, unless effects.motors.dc determines it"
         if self.motors.first_order.static_v:
             rule = "has dry friction (coulomb, static), which doesn't go with effects.wheel_load"
-            yield ("effects", "motors"), "", rule
+            yield ("effects", "motors"), None, rule
 
     @property
     def wheel_inertia_kg(self) -> float | None:

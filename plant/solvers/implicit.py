@@ -68,6 +68,8 @@ class ImplicitWorkspace(NamedTuple):
     saved: NDArray[np.int64]
     where: NDArray[np.int8]
     centroid: Floats
+    planes: Floats
+    normals: Floats
     ended: Floats
     segs: Floats
     grp: Floats
@@ -99,7 +101,9 @@ def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
     return ImplicitWorkspace(
         **of_events._asdict(),
         seg=of_events.segs[0],
-        centroid=np.zeros(2),
+        centroid=np.zeros((layout.MODES, 2)),
+        planes=np.zeros((layout.MODES, 3)),
+        normals=np.zeros((layout.MAX_GROUPS, 3)),
         ended=np.zeros(3),
         law=np.zeros(implicit_layout.LAW_SIZE),
         pace=np.zeros(implicit_layout.PACE_SIZE),
@@ -179,6 +183,7 @@ def locate(
             parcel.par[[layout.LIMIT, layout.LIMIT_PER_SHARE]] = 0.0
             parcel.par[layout.FREE_SPEED] = traction.free_speed
             law[implicit_layout.LOCATED] = 1.0
+        law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
         return
     set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
     # what the kernels of ``exact`` don't know of: where wheels change branch, and the motion along a surface
@@ -186,7 +191,13 @@ def locate(
     if not known:
         parcel.par[layout.LIMIT] = math.inf
     law[implicit_layout.LOCATED] = float(parcel.par[layout.LIMIT] < math.inf)
-    law[implicit_layout.CAPTURES] = float(known and effects.uneven_supports is None)
+    if known and effects.uneven_supports is None:
+        law[implicit_layout.CAPTURES] = implicit_layout.BY_SERIES
+    elif math.inf in (traction.limit, traction.limit_per_load) or not (
+        traction.stiffness > 0.0 or traction.stiffness_per_load > 0.0
+    ):
+        # without branches forces are linear in the loads
+        law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
 
 
 @final

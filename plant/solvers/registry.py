@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from plant.array import CellArray
-from plant.kernels.common import cache
 from plant.solver_api import Solver
 from plant.solver_specs import (
     ExactSpec,
@@ -12,7 +11,6 @@ from plant.solver_specs import (
     ImplicitSpec,
     QuasiStaticSpec,
     SciPySpec,
-    SolverSpec,
 )
 from plant.solvers.exact import Exact
 from plant.solvers.fixed_step import FixedStep
@@ -21,25 +19,6 @@ from plant.solvers.implicit import Implicit
 from plant.solvers.quasi_static import QuasiStatic
 from plant.solvers.scipy import SciPy
 from plant.specs import PlantSpec
-
-_KERNELS = {"exact": "exact", "implicit": "implicit", "quasi_static": "quasi", "fixed_step": "fixed"}
-"""Folder of each compiled solver's kernels."""
-
-
-def is_compiled(spec: SolverSpec, *, divided: bool = False) -> bool:
-    """Whether a solver's kernels are on disk; the first run of a version takes seconds to compile them.
-
-    Args:
-        spec: of the solver.
-        divided: whether wheels change, or cells read, on the way of a call.
-    """
-    if spec.name not in _KERNELS:
-        return True
-    # numba keeps each module's kernels in a folder named after the module's own, and a hash of where that lies
-    names = [f"{_KERNELS[spec.name]}_*/block.advance_block-*.nbi"]
-    if divided and spec.name == "exact":
-        names.append("exact_*/block.advance_segmented-*.nbi")
-    return all(any(cache.folder()[0].glob(name)) for name in names)
 
 
 def make_solver(spec: PlantSpec, array: CellArray, rate: float) -> Solver:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from plant.friction.registry import FrictionSpec
 from plant.plant import Plant
 from tests.plant.filippov import Filippov
 from tests.plant.laws import COULOMB, MU
@@ -28,6 +29,30 @@ def make_scene(seed: int, solver: dict[str, Any]) -> tuple[Plant, Floats]:
     )
     plant = solved(solver, body, law=COULOMB, rows=3, columns=3, pitch_m=0.16)
     return plant, draw.uniform(-0.3, 0.3, (9, 2))
+
+
+def make_wide_scene(
+    seed: int, solver: dict[str, Any], law: FrictionSpec, spin_rad_s: float, *, motors: bool = False
+) -> tuple[Plant, Floats]:
+    """A parcel on 196 cells, sliding and turning, and one of four kinds of field; or the voltages of slow motors."""
+    draw = np.random.default_rng([seed, 11])
+    body = parcel(
+        size_m=tuple(draw.uniform(0.3, 0.7, 2)),
+        position_m=tuple(draw.uniform(-0.1, 0.1, 2)),
+        angle_rad=draw.uniform(0.0, 6.0),
+        velocity_m_s=tuple(draw.uniform(-0.5, 0.5, 2)),
+        angular_velocity_rad_s=draw.uniform(-spin_rad_s, spin_rad_s),
+    )
+    effects = {"motors": {"time_constant_s": 0.05, "speed_per_volt_m_s": 0.05}} if motors else {}
+    plant = solved(solver, body, law=law, effects=effects, rows=14, columns=14, pitch_m=0.12)
+    place = plant.array.positions_m
+    field = (
+        draw.uniform(-0.4, 0.4, place.shape),
+        -place * draw.uniform(0.5, 1.5),
+        np.tile(draw.uniform(-0.4, 0.4, 2), (len(place), 1)),
+        place @ np.array([[-0.5, 0.5], [-0.5, -0.5]]),
+    )[seed % 4]
+    return plant, field * (20.0 if motors else 1.0)
 
 
 def solve_reference(seed: int) -> tuple[Filippov, Floats]:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+from bus.kernel_cache import cache as kernel_cache
+from bus.kernel_cache.cache import KernelCache
 from plant.kernels.common import cache
 from tests.plant.scenes import TICK_NS, study
 
-KERNELS = Path(cache.__file__).parents[1]
+KERNELS = cache.KERNELS
 ROOT = KERNELS.parents[1]
 
 
@@ -29,19 +29,13 @@ def copied(tmp_path: Path) -> Path:
     return folder
 
 
-def _module(folder: Path) -> ModuleType:
-    """The cache module of a copy, afresh."""
-    located = importlib.util.spec_from_file_location("kernel_cache_copy", folder / "common" / "cache.py")
-    assert located is not None
-    assert located.loader is not None
-    module = importlib.util.module_from_spec(located)
-    located.loader.exec_module(module)
-    module._tree = cache._tree  # a text that was parsed once isn't again
-    return module
+def _cache(folder: Path) -> KernelCache:
+    """The cache of a copy, afresh."""
+    return KernelCache(folder)
 
 
 def test_the_key_stays_while_nothing_changes(copied: Path) -> None:
-    assert _module(copied).key() == _module(copied).key()
+    assert _cache(copied).key() == _cache(copied).key()
 
 
 FILES = sorted(path.relative_to(KERNELS).as_posix() for path in KERNELS.rglob("*.py"))
@@ -49,13 +43,13 @@ FILES = sorted(path.relative_to(KERNELS).as_posix() for path in KERNELS.rglob("*
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_change_of_any_kernel_file_changes_the_key(copied: Path, name: str) -> None:
-    before = _module(copied).key()
+    before = _cache(copied).key()
     path = copied / name
     text = path.read_text()
     path.write_text(text + "\nADDED = 1\n")
-    assert _module(copied).key() != before
+    assert _cache(copied).key() != before
     path.write_text(text)
-    assert _module(copied).key() == before
+    assert _cache(copied).key() == before
 
 
 EXPRESSION = '''"""Kernels."""
@@ -89,10 +83,10 @@ def step(x):
 def test_a_changed_expression_changes_the_key(copied: Path, old: str, new: str) -> None:
     path = copied / "another.py"
     path.write_text(EXPRESSION)
-    before = _module(copied).key()
+    before = _cache(copied).key()
     assert EXPRESSION.count(old) >= 1
     path.write_text(new.join(EXPRESSION.rsplit(old, 1)))
-    assert _module(copied).key() != before
+    assert _cache(copied).key() != before
 
 
 @pytest.mark.parametrize(
@@ -109,45 +103,44 @@ def test_a_changed_expression_changes_the_key(copied: Path, old: str, new: str) 
 def test_a_comment_a_docstring_and_layout_do_not_change_the_key(copied: Path, old: str, new: str) -> None:
     path = copied / "another.py"
     path.write_text(EXPRESSION)
-    before = _module(copied).key()
+    before = _cache(copied).key()
     assert old in EXPRESSION
     path.write_text(EXPRESSION.replace(old, new))
-    assert _module(copied).key() == before
+    assert _cache(copied).key() == before
 
 
 def test_times_of_files_do_not_change_the_key(copied: Path) -> None:
-    before = _module(copied).key()
+    before = _cache(copied).key()
     for name in FILES:
         os.utime(copied / name, (1e9, 1e9))
-    assert _module(copied).key() == before
+    assert _cache(copied).key() == before
 
 
 def test_a_new_kernel_file_and_a_renamed_one_change_the_key(copied: Path) -> None:
-    before = _module(copied).key()
+    before = _cache(copied).key()
     (copied / "another.py").write_text("")
-    with_one_more = _module(copied).key()
+    with_one_more = _cache(copied).key()
     (copied / "another.py").rename(copied / "renamed.py")
-    assert len({before, with_one_more, _module(copied).key()}) == 3
+    assert len({before, with_one_more, _cache(copied).key()}) == 3
 
 
 def test_a_number_moved_from_one_file_to_the_next_changes_the_key(copied: Path) -> None:
     """Names and lengths are part of the text: files can't be glued together to the same hash."""
     (copied / "one.py").write_text("a = 1\n")
     (copied / "two.py").write_text("b = 2\n")
-    before = _module(copied).key()
+    before = _cache(copied).key()
     (copied / "one.py").write_text("a = 1\nb = 2\n")
     (copied / "two.py").write_text("")
-    assert _module(copied).key() != before
+    assert _cache(copied).key() != before
 
 
-@pytest.mark.parametrize("what", ["version", "processor"])
+@pytest.mark.parametrize(("what", "another"), [("version", "9"), ("level", ("x86-64-v9", ""))])
 def test_other_versions_and_processors_have_other_keys(
-    copied: Path, monkeypatch: pytest.MonkeyPatch, what: str
+    copied: Path, monkeypatch: pytest.MonkeyPatch, what: str, another: object
 ) -> None:
-    module = _module(copied)
-    before = module.key()
-    monkeypatch.setattr(module, what, lambda *_: "another")
-    assert module.key() != before
+    before = _cache(copied).key()
+    monkeypatch.setattr(kernel_cache, what, lambda *_: another)
+    assert _cache(copied).key() != before
 
 
 def _fresh(code: str, **environment: str) -> dict[str, object]:
@@ -220,7 +213,7 @@ def test_a_cache_that_cannot_be_written_is_replaced_for_the_process_and_removed_
     assert found["lasting"] is False
     assert found["exists"] is True
     assert found["warm"] is False
-    assert Path(str(found["path"])).parent == tmp_path
+    assert Path(str(found["path"])).parents[1] == tmp_path
     assert not Path(str(found["path"])).exists()
 
 
@@ -237,18 +230,18 @@ def test_texts_that_differ_in_comments_share_a_folder_and_others_do_not(
 ) -> None:
     """However the folder was found: by the note of a text seen before, or by parsing a new one."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    first, _ = _module(copied).folder()
+    first, _ = _cache(copied).folder()
     parsed: list[bytes] = []
+    tree = kernel_cache._tree
+
+    def counted(text: bytes) -> bytes:
+        parsed.append(text)
+        return tree(text)
+
+    monkeypatch.setattr(kernel_cache, "_tree", counted)
 
     def found() -> Path:
-        module = _module(copied)
-
-        def counted(text: bytes) -> bytes:
-            parsed.append(text)
-            return cache._tree(text)
-
-        module._tree = counted
-        return module.folder()[0]
+        return _cache(copied).folder()[0]
 
     assert found() == first
     assert not parsed
@@ -270,7 +263,6 @@ def test_only_the_latest_of_the_old_folders_are_retained(
         old.mkdir(parents=True)
         (old / "kernel.nbi").write_text("")
         os.utime(old, (1e9 - age, 1e9 - age))
-    module = _module(copied)
-    path, _ = module.folder()
+    path, _ = _cache(copied).folder()
     retained = sorted(folder.name for folder in kernels.iterdir() if folder != path)
-    assert retained == [f"old{age:02}" for age in range(module.RETAINED)]
+    assert retained == [f"old{age:02}" for age in range(cache.RETAINED)]

@@ -15,8 +15,6 @@ from plant.errors import PlantError
 from plant.parcel_spec import ParcelSpec
 from plant.plant import Plant
 from plant.sampling import Timing
-from plant.solver_specs import ExactSpec
-from plant.solvers.registry import is_compiled
 from plant.specs import PlantSpec
 from tests.plant.laws import VISCOUS
 from tests.plant.scenes import MU, TICK_NS, Floats, G, bench, elliptic, parcel, solved, spec
@@ -333,13 +331,15 @@ def test_cells_without_parcels_read_their_own_wheels_alone(solver: str) -> None:
 
 
 def test_what_timing_needs_is_compiled_before_and_changes_nothing() -> None:
+    from plant.kernels.exact import entry
+
     def end(ready: bool) -> bytes:
         plant = solved({"name": "exact"}, parcel())
         if ready:
             before = plant.state.tobytes()
             plant.warm_up()
             assert (plant.state.tobytes(), plant.time_ns, plant.support_changes) == (before, 0, 0)
-            assert is_compiled(ExactSpec(), divided=True)
+            assert entry.advance_segmented.signatures
         drives = elliptic(plant)
         for tick in range(1, 60):
             plant.advance(

@@ -45,7 +45,7 @@ def test_a_parcel_carried_over_the_rim_leaves_as_its_centre_crosses_the_last_row
     assert tip.time_s == pytest.approx(carried(0.75, 0.5), abs=1e-7)
     assert tip.position_m == pytest.approx((0.1, 0.95), abs=1e-7)
     assert {row for row, _ in tip.cells} == {19}
-    assert tip.detail.startswith("about the edge from cell 19,")
+    assert tip.detail.startswith("about the line through cells 19,")
     status = plant.status[0]
     assert (status.state, status.time_s, status.detail) == ("off_array", tip.time_s, tip.detail)
 

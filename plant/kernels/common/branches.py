@@ -122,6 +122,21 @@ def grip_now(surface, parcel, seg, a0, bx, by, e, i, axis):
 
 
 @kernel
+def carries(parcel, i):
+    """Whether a member carries load in some mode."""
+    for m in range(1 << parcel.ctl[at.N_GROUPS]):
+        if parcel.mem[i, at.MARK + m] == at.ACTIVE:
+            return True
+    return False
+
+
+@kernel
+def pulls(surface, parcel, i):
+    """Whether the wheels of member ``i`` pull in some mode."""
+    return carries(parcel, i) and surface.grip[parcel.mem[i, at.CELL]] != 0.0
+
+
+@kernel
 def settle_branches(surface, parcel, seg, m, e):
     """Put every wheel that pulls in mode m on the branch that its load and slip ask for."""
     mem = parcel.mem
@@ -168,7 +183,8 @@ def changes_in_mode(surface, parcel, work, order, m, end):
         along = sway(ser, order, at.S_VX + axis)
         for i in range(parcel.ctl[at.N_MEMBERS]):
             cell = mem[i, at.CELL]
-            if mem[i, at.MARK + m] != at.ACTIVE or surface.grip[cell] == 0.0:
+            active = carries(parcel, i) if jumps(par) else mem[i, at.MARK + m] == at.ACTIVE
+            if not active or surface.grip[cell] == 0.0:
                 continue
             branch = mem[i, at.BRANCH + 2 * m + axis]
             if branch == 0 and jumps(par):
@@ -192,7 +208,8 @@ def changes_in_mode(surface, parcel, work, order, m, end):
 def branch_changes(surface, parcel, work, order, end, count):
     """The first wheel of the step that comes to another branch, in any mode: ``settle_branches`` then says which do."""
     culprit, axis = at.NO_CELL, at.ZERO
-    for m in range(1 << parcel.ctl[at.N_GROUPS]):
+    # where the force jumps a wheel sticks or slips under its mean load, in all modes alike
+    for m in range(1 if jumps(parcel.par) else 1 << parcel.ctl[at.N_GROUPS]):
         t, cell, along = changes_in_mode(surface, parcel, work, order, m, end)
         if cell >= 0:
             end, culprit, axis = t, cell, along

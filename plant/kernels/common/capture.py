@@ -10,8 +10,15 @@ from __future__ import annotations
 
 from plant.kernels.common import layout as at
 from plant.kernels.common.jit import kernel
-from plant.kernels.common.modes import FRACTION_ZERO, least_share, put_in, release_inside, settle_modes
-from plant.kernels.common.motion import accelerations, surfaces
+from plant.kernels.common.modes import (
+    FRACTION_ZERO,
+    least_share,
+    mix,
+    put_in,
+    release_inside,
+    settle_modes,
+)
+from plant.kernels.common.motion import surfaces
 
 INDEPENDENT = 1e-6
 """Groups whose effects on their surfaces are closer to singular than this count as one."""
@@ -87,7 +94,7 @@ def evaluate(surface, parcel, work, e, c, s):
     if settle_modes(surface, parcel, work, e) != at.MOVING or work.segs[0, at.RANK] < 2:
         return 0.0
     surfaces(surface, parcel, work.grp)
-    ax, ay, al, conditioning = accelerations(parcel, work, e, c, s)
+    ax, ay, al, conditioning = mix(work, surface, parcel, e, c, s)
     work.after[0], work.after[1], work.after[2] = ax, ay, al
     return conditioning
 

@@ -32,7 +32,7 @@ def implements(question, *parts, own):
         @overload(question, jit_options=COMPILED, strict=False)
         def resolve(record, *_):
             fields = dict(zip(record.fields, record.types, strict=True))
-            found = any(not isinstance(fields[part], types.NoneType) for part in parts)
+            found = any(not isinstance(fields.get(part, types.none), types.NoneType) for part in parts)
             return implementation if found == own else None
 
         return implementation

@@ -20,9 +20,11 @@ ISOTROPIC: Final = 7  # 1 where both axes of a cell share one limit
 VISCOUS: Final = 8  # 1/s, by slip, beside the limited part and without a limit
 WHEEL: Final = 9  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
 LOCATED: Final = 10  # 1 where each wheel's branch of the law is held over a step, and its changes are located
-CAPTURES: Final = 11  # 1 where chatter is replaced by motion along its surface
+CAPTURES: Final = 11  # how chatter is replaced by motion along its surface, or 0 where it isn't
 STATIC_RATIO: Final = 12  # limit of a wheel that sticks over that of one that slips
 LAW_SIZE: Final = 13
+BY_SERIES: Final = 1.0  # that motion is the exact solver's Taylor series
+BY_STEPS: Final = 2.0  # it is stepped as other motion is
 
 # ── pace: float64 settings and memory of one parcel
 GYRATION: Final = 0  # m
@@ -34,7 +36,8 @@ OUTRUN: Final = 5  # 1 while the parcel outruns a wheel that the law takes to be
 STEPS_LEFT: Final = 6  # of those allowed so far (changes)
 STEPS_PER_SECOND: Final = 7  # allowed; infinite where steps are fixed
 LOCATES: Final = 8  # 1 where supports are held over a step, and their changes are located
-PACE_SIZE: Final = 9
+NOW: Final = 9  # time of the instant at which accelerations are asked for, s (changes)
+PACE_SIZE: Final = 10
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
 AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED, SIDE_X, SIDE_Y = range(16)
@@ -48,7 +51,8 @@ WHEEL_SIZE: Final = 16
 # ── first: float64 findings about a step: the change of velocity in its first part, then
 REGIME: Final = 3  # which wheels are at their limits there
 SLIPPED: Final = 4  # the largest slip in the step of a wheel that sticks where it begins, m/s
-FIRST_SIZE: Final = 5
+OUTSIDE: Final = 5  # how far a captured group's fraction leaves [0, 1] in it, at most
+FIRST_SIZE: Final = 6
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

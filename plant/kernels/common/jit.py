@@ -10,13 +10,34 @@ from __future__ import annotations
 import numba
 from numba import _dynfunc, njit
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.typed_passes import NativeLowering
+
+from bus.kernel_cache.processor import set_level
+
+set_level()  # before numba's first use: it asks for the processor once
 
 TRIED = ((0, 62), (0, 68))
 """First and last version of numba that callee compilation was tried with: it overrides methods that may change. Other
 versions compile every kernel in full, to the same bits."""
+
+
+UNUSED = {
+    "WithLifting",
+    "InlineClosureLikes",
+    "RewriteDynamicRaises",
+    "MakeFunctionToJitFunction",
+    "InlineInlinables",
+    "FindLiterallyCalls",
+    "LiteralUnroll",
+    "LiteralPropagationSubPipelinePass",
+    "InlineOverloads",
+    "NopythonRewrites",
+    "DumpParforDiagnostics",
+}
+"""Passes for what no kernel has: closures, ``with``, exceptions, literals asked for, array expressions. After each of
+them numba analyses the function's variables again."""
 
 
 class CalleeLibrary(JITCodeLibrary):
@@ -55,11 +76,27 @@ class CalleeLowering(NativeLowering):
         return True
 
 
+class CalleeFlags(Flags):
+    """Compiler options with a fast comparison, by set values: numba looks options up for every operator."""
+
+    def __hash__(self):
+        return hash(CalleeFlags)
+
+    def __eq__(self, other):
+        if isinstance(other, CalleeFlags):
+            return self._values == other._values
+        return super().__eq__(other)
+
+
 class CalleeCompiler(CompilerBase):
-    """numba's compiler with ``CalleeLowering`` in the place of ``NativeLowering``."""
+    """numba's compiler with ``CalleeLowering`` in the place of ``NativeLowering``, and without ``UNUSED`` passes."""
+
+    def __init__(self, typingctx, targetctx, library, args, return_type, flags, locals):  # noqa: A002 - numba's name
+        flags = CalleeFlags(flags)
+        super().__init__(typingctx, targetctx, library, args, return_type, flags, locals)
 
     def define_pipelines(self):
-        """List the passes: numba's own but for one."""
+        """List the passes."""
         manager = PassManager("callee")
         for define in (
             DefaultPassBuilder.define_untyped_pipeline,
@@ -69,6 +106,7 @@ class CalleeCompiler(CompilerBase):
             manager.passes += [
                 (CalleeLowering if one is NativeLowering else one, why)
                 for one, why in define(self.state).passes
+                if one.__name__ not in UNUSED
             ]
         manager.finalize()
         return [manager]

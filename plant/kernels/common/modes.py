@@ -12,10 +12,20 @@ from math import inf
 
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import settle_branches
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.loads import settle
 from plant.kernels.common.moments import moments
 from plant.kernels.common.motion import accelerations, surfaces
+
+
+def gather(work, surface, parcel, m, e, mixes):
+    """Sum up mode m for its accelerations, its loads being settled; ``mixes`` where ``mix`` follows."""
+
+
+def mix(work, surface, parcel, e, c, s):
+    """Accelerations along captured surfaces, as ``motion.accelerations``."""
+
 
 FRACTION_ZERO = 1e-9
 """How far a fraction may lie outside [0, 1] before its group is released."""
@@ -97,6 +107,16 @@ def grasp(surface, parcel, seg, m, e, mixes):
     moments(surface, parcel, seg, m, e, mixes)
 
 
+@implements(gather, "law", own=False)
+def _gather(work, surface, parcel, m, e, mixes):
+    grasp(surface, parcel, work.segs[m], m, e, mixes)
+
+
+@implements(mix, "law", own=False)
+def _mix(work, _surface, parcel, e, c, s):
+    return accelerations(parcel, work, e, c, s)
+
+
 @kernel
 def settle_modes(surface, parcel, work, e):
     """Loads and sums of every mode; a captured mode must span a plane. Returns the status."""
@@ -105,7 +125,7 @@ def settle_modes(surface, parcel, work, e):
         status = settle(surface, parcel, work.segs[m], at.MARK + m, work.scratch, work.newton)
         if status != at.MOVING:
             return status
-        grasp(surface, parcel, work.segs[m], m, e, at.COMPLETE)
+        gather(work, surface, parcel, m, e, at.COMPLETE)
         if groups > 0 and work.segs[m, at.RANK] < 2:
             return at.TIPPED
     return at.MOVING
@@ -127,7 +147,7 @@ def settled(surface, parcel, work, e, c, s):
                 ctl[at.N_CAPTURES] += 1
             continue
         surfaces(surface, parcel, work.grp)
-        _, _, _, conditioning = accelerations(parcel, work, e, c, s)
+        _, _, _, conditioning = mix(work, surface, parcel, e, c, s)
         if conditioning < SINGULAR:
             release_inside(mem, ctl, ctl[at.N_GROUPS] - 1)
             ctl[at.N_CAPTURES] += 1
@@ -139,5 +159,5 @@ def settled(surface, parcel, work, e, c, s):
         ctl[at.N_CAPTURES] += 1
     status = settle(surface, parcel, work.segs[0], at.MARK, work.scratch, work.newton)
     if status == at.MOVING:
-        grasp(surface, parcel, work.segs[0], at.ZERO, e, at.UNDONE)
+        gather(work, surface, parcel, at.ZERO, e, at.UNDONE)
     return status

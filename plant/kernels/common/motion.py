@@ -164,6 +164,15 @@ def product_of(fraction, groups, m):
 
 
 @kernel
+def share_of(fraction, groups, m):
+    """Which share of the motion is that of mode m: the product of the fractions of its sides."""
+    share = 1.0
+    for h in range(groups):
+        share *= fraction[h] if m & (1 << h) else 1.0 - fraction[h]
+    return share
+
+
+@kernel
 def mixture(work, groups):
     """The surfaces' second rates at the present fractions, and how they and the accelerations change with each.
 

@@ -7,7 +7,7 @@ the next outrun wheel is a new report.
 from __future__ import annotations
 
 from plant.kernels.common import layout as at
-from plant.kernels.common.branches import slip_now, slip_polynomial
+from plant.kernels.common.branches import carries, slip_now, slip_polynomial
 from plant.kernels.common.changes import log
 from plant.kernels.common.events import crossing, note
 from plant.kernels.common.jit import kernel
@@ -16,15 +16,6 @@ from plant.kernels.common.wheel_direction import direction
 
 STILL = 1e-12
 """A speed, m/s, that is none: what rounding leaves of a parcel's motion across wheels that stand is no motion."""
-
-
-@kernel
-def carries(parcel, i):
-    """Whether a member carries load in some mode."""
-    for m in range(1 << parcel.ctl[at.N_GROUPS]):
-        if parcel.mem[i, at.MARK + m] == at.ACTIVE:
-            return True
-    return False
 
 
 @kernel

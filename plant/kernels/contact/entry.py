@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from numba import njit
 
-from plant.kernels.common import cache
+from bus.kernel_cache.locator import disk_cached
 from plant.kernels.contact import ccd, impact, manifold, polygons, resting
 
-with cache.disk_cached():
+with disk_cached(__name__):
     gap = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(polygons.gap.py_func)
     first_uncertain = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(
         ccd.first_uncertain.py_func

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from numba import njit
 
-from plant.kernels.common import cache
+from bus.kernel_cache.locator import disk_cached
 from plant.kernels.effects import spots
 
-with cache.disk_cached():
+with disk_cached(__name__):
     cover_spots = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(spots.cover_spots.py_func)

@@ -8,6 +8,7 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.advance import advance
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.parcels import LOG_CAPACITY
+from plant.kernels.common.record_pointer import pointer_to
 from plant.kernels.common.select import note_result, parcel_view
 from plant.kernels.exact.segments import (
     change,
@@ -65,12 +66,13 @@ def advance_block(surface, parcels, work, stop, allowance, block, span, times, o
     Returns:
         How many of the block were moved, and to how many of these something happened.
     """
+    surface, parcels, work = pointer_to(surface), pointer_to(parcels), pointer_to(work)
     used, noted = at.ZERO, at.ZERO
     for n in range(block.shape[0]):
         if used + LOG_CAPACITY > events.shape[0]:
             return n, noted
         i = block[n]
-        parcel = parcel_view(parcels, i)
+        parcel = pointer_to(parcel_view(parcels, i))
         changes = parcel.ctl[at.N_EVENTS]
         log = events[used : used + LOG_CAPACITY]
         moved = advance_one(surface, parcel, work, stop, allowance, i, span, times, out[:, i], log)
@@ -99,17 +101,18 @@ def advance_segmented(surface, parcels, work, stop, allowance, block, span, sche
     Returns:
         As `advance_block`.
     """
+    surface, parcels, work = pointer_to(surface), pointer_to(parcels), pointer_to(work)
     used, noted = at.ZERO, at.ZERO
     for n in range(block.shape[0]):
         if used + LOG_CAPACITY > events.shape[0]:
             return n, noted
         i = block[n]
-        parcel = parcel_view(parcels, i)
+        parcel = pointer_to(parcel_view(parcels, i))
         events_before = parcel.ctl[at.N_EVENTS]
         log = events[used : used + LOG_CAPACITY]
         near = within(surface, schedule, parcel, i)
         changes, reads = collect_changes(surface, schedule, hand, near)
-        here = local_surface(surface, hand)
+        here = pointer_to(local_surface(surface, hand))
         now, moved, logged, done, seen = 0.0, 0.0, at.ZERO, at.ZERO, at.ZERO
         while now < span and parcel.ctl[at.STATUS] == at.MOVING:
             done = change(schedule, hand, now, done, changes)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from numba import njit
 
-from plant.kernels.common import cache, footprint
+from bus.kernel_cache.locator import disk_cached
+from plant.kernels.common import footprint
 from plant.kernels.exact import block
 
-with cache.disk_cached():
+with disk_cached(__name__):
     advance_block = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(block.advance_block.py_func)
     advance_segmented = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(
         block.advance_segmented.py_func

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
+from plant.kernels.common.branches import lever, pulls
 from plant.kernels.common.jit import kernel
-from plant.kernels.common.springs import plane_at
 from plant.kernels.implicit.extrapolation import euler
-from plant.kernels.implicit.step import EPSILON, INSTANT, grasp, pull, unlimited
+from plant.kernels.implicit.step import EPSILON, INSTANT, grasp, press, pull, unlimited
+from plant.kernels.implicit.stiction_hooks import find_velocity
 from plant.kernels.implicit.supports import carry_supports, decay
 
 DEGREE = 5
@@ -26,6 +27,45 @@ SMALLEST_DECAY = 1e-16
 
 
 @kernel
+def to_rates(surface, parcel, work, e):
+    """Turn the wheels listed into those of the problem whose unknowns are accelerations.
+
+    Slips become rates of slip, and what depends on the velocity alone is a given force.
+    """
+    y, par, row = parcel.y, parcel.par, at.ZERO
+    fade = -par[at.RATE] * e * par[at.FREE_SPEED]
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        cell = parcel.mem[i, at.CELL]
+        if not pulls(surface, parcel, i):
+            continue
+        wheel = work.wheels[row]
+        row += 1
+        for axis in range(2):
+            along = y[at.UX + axis] + lever(surface, y, cell, axis) * y[at.OMEGA]
+            wheel[im.GX + axis] -= wheel[im.K] * along
+        wheel[im.K] = 0.0
+        # the levers change as the centre of mass moves
+        wheel[im.SX] = fade * surface.decay[cell, 0] - y[at.OMEGA] * y[at.UY]
+        wheel[im.SY] = fade * surface.decay[cell, 1] + y[at.OMEGA] * y[at.UX]
+        wheel[im.SUMMED] = abs(fade) * (abs(surface.decay[cell, 0]) + abs(surface.decay[cell, 1]))
+        wheel[im.SUMMED] += abs(y[at.OMEGA]) * (abs(y[at.UX]) + abs(y[at.UY]))
+
+
+@kernel
+def accelerate_by_rule(surface, parcel, work, now):
+    """Acceleration where wheels stick or slip as their branches say, into ``work.velocity``, by Gauss's principle.
+
+    Of all forces within the limits those act that leave the least rates of slip: a step's problem, of one second from
+    rest, in accelerations. ``work.wheels`` has the rates of slip.
+    """
+    e, start = decay(parcel.par, now), work.start
+    count = grasp(surface, parcel, work, work.law, e, at.NOTHING)
+    to_rates(surface, parcel, work, e)
+    start[0] = start[1] = start[2] = 0.0
+    find_velocity(surface, parcel, work, count, im.UNITY, work.velocity)
+
+
+@kernel
 def accelerate(surface, parcel, work, now, acceleration):
     """Acceleration where the parcel is, at ``now``, with the supports of the step, into ``acceleration[:3]``.
 
@@ -33,6 +73,10 @@ def accelerate(surface, parcel, work, now, acceleration):
     """
     y, w, arm, law = parcel.y, work.velocity, work.pace[im.GYRATION], work.law
     carry_supports(parcel, work)
+    if law[im.SET_VALUED] != 0.0 and law[im.LOCATED] != 0.0:
+        accelerate_by_rule(surface, parcel, work, now)
+        acceleration[0], acceleration[1], acceleration[2] = w[0], w[1], w[2] / arm
+        return
     if law[im.SET_VALUED] != 0.0 or law[im.WHEEL] != 0.0:
         for k in range(6):
             work.state[k] = y[k]
@@ -102,12 +146,32 @@ def place_terms(ser, k):
 
 
 @kernel
+def expand_planes(surface, parcel, work, order):
+    """Series of every mode's plane of the springs; a fraction's end is looked for elsewhere."""
+    ser, groups = work.ser, parcel.ctl[at.N_GROUPS]
+    press(surface, parcel, work, 0.0, 0.0)
+    for m in range(1 << groups):
+        seg, o = work.segs[m], at.MODES_AT + m * at.MODE_ROWS
+        for k in range(order + 1):
+            x, y = ser[at.S_X, k], ser[at.S_Y, k]
+            ser[o + at.M_A0, k] = 0.0
+            ser[o + at.M_BX, k] = seg[at.PXX] * x + seg[at.PXY] * y
+            ser[o + at.M_BY, k] = seg[at.PXY] * x + seg[at.PYY] * y
+        for k in range(3):
+            ser[o + at.M_A0 + k, 0] = work.planes[m, k]
+    for h in range(groups):
+        for k in range(order + 1):
+            ser[at.S_SHARE + (1 << h), k] = 0.0
+        ser[at.S_SHARE + (1 << h), 0] = 0.5
+
+
+@kernel
 def expand(surface, parcel, work, now, h, c, s):
     """Series of the step of ``h`` from ``parcel.y`` at ``now`` to ``work.end``, into ``work.ser``. Returns their order.
 
     ``work.begun`` and ``work.ended`` are the accelerations at its ends, ``c`` and ``s`` cosine and sine at its begin.
     """
-    y, end, ser, seg, par = parcel.y, work.end, work.ser, work.seg, parcel.par
+    y, end, ser, par = parcel.y, work.end, work.ser, parcel.par
     for k in range(3):
         velocities = y[at.UX + k], end[at.UX + k]
         ends = y[k], velocities[0], end[k], velocities[1]
@@ -130,12 +194,5 @@ def expand(surface, parcel, work, now, h, c, s):
         ser[at.S_UX + row, order] = 0.0
     for k in range(order + 1):
         place_terms(ser, k)
-    a0, bx, by = plane_at(surface, seg, -seg[at.CX], -seg[at.CY])
-    o = at.MODES_AT
-    for k in range(order + 1):
-        x, y_k = ser[at.S_X, k], ser[at.S_Y, k]
-        ser[o + at.M_A0, k] = 0.0
-        ser[o + at.M_BX, k] = seg[at.PXX] * x + seg[at.PXY] * y_k
-        ser[o + at.M_BY, k] = seg[at.PXY] * x + seg[at.PYY] * y_k
-    ser[o + at.M_A0, 0], ser[o + at.M_BX, 0], ser[o + at.M_BY, 0] = a0, bx, by
+    expand_planes(surface, parcel, work, order)
     return order

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from numba import njit
 
-from plant.kernels.common import cache
+from bus.kernel_cache.locator import disk_cached
 from plant.kernels.implicit import block as implicit_block
 
-with cache.disk_cached():
+with disk_cached(__name__):
     advance_block = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(
         implicit_block.advance_block.py_func
     )

@@ -1,7 +1,7 @@
 """Hooks for events within a step: only what an effect leaves to be located is compiled with it.
 
 Where loads change all along a step, on wheels with a width (``edges``) or below a tall parcel (``transfer``), no change
-is located. Where wheels differ from the exact solver's, no motion along a surface is captured.
+is located. Where wheels differ from the exact solver's, the motion along a captured surface is stepped (``sliding``).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 UNLOCATED: Final = ("edges", "transfer")
 """Parts of a surface with which no step ends at an event."""
 UNCAPTURED: Final = ("springs", "factors", "drag", "stiction")
-"""Parts of a surface with which chatter is not captured."""
+"""Parts of a surface with which the motion along a captured surface has no series."""
 
 
 def prepare_step(surface, parcel, work, now, events):
@@ -20,10 +20,6 @@ def prepare_step(surface, parcel, work, now, events):
 
 def take_step(surface, parcel, work, now, left, events):
     """One step of at most ``left`` seconds. Returns (status, seconds, attempts)."""
-
-
-def prepare_captures(surface, parcel, work, now, events):
-    """Loads, and what is captured, where a step begins. Returns the status."""
 
 
 def follow_captures(surface, parcel, work, now, left, events):

@@ -7,14 +7,17 @@ found afresh for each part, and a change within makes the results differ, so tha
 
 from __future__ import annotations
 
+from math import cos, sin
+
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.jit import kernel
+from plant.kernels.common.motion import solve
 from plant.kernels.common.springs import smooth
 from plant.kernels.implicit.balance_hooks import balance, begin_balance
 from plant.kernels.implicit.hooks import extrapolate, slow, tabulate, take_back
-from plant.kernels.implicit.step import EPSILON, INSTANT, grasp, largest_slip, regime
+from plant.kernels.implicit.step import EPSILON, INSTANT, ROUNDED, grasp, largest_slip, regime
 from plant.kernels.implicit.step_events import same
 from plant.kernels.implicit.stiction_hooks import commit_grips, find_velocity, restore_grips
 from plant.kernels.implicit.supports import carry_supports, decay, find_loads
@@ -31,6 +34,11 @@ TRIFLE = 1e-10
 """In a step this short, s, the forces are within rounding of the velocities: one not solved to rounding is as good."""
 MANY = 20.0
 """More support changes than this at once are chatter: steps across them need be no shorter than ..."""
+FRACTION_STEPS = 24
+CHORDS = 4
+"""So many of them share the slopes of the first."""
+NUDGE = 1e-2
+"""A fraction is changed by as much, to see how the velocity answers."""
 SHORT = 1e-4
 """... this, s, in which a parcel strays by some nanometres."""
 
@@ -45,6 +53,90 @@ def supports_here(surface, parcel, work):
 
 
 @kernel
+def note_normals(surface, parcel, work, h):
+    """How fast each captured surface is left, by velocity, where the present velocity leads in ``h``."""
+    y, normals, arm = parcel.y, work.normals, work.pace[im.GYRATION]
+    angle = y[at.THETA] + h * y[at.OMEGA]
+    c, s = cos(angle), sin(angle)
+    for g in range(parcel.ctl[at.N_GROUPS]):
+        normals[g, 0] = normals[g, 1] = normals[g, 2] = 0.0
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        side, normal = parcel.mem[i, at.SIDE], normals[parcel.mem[i, at.GROUP]]
+        if side != 0:
+            cell, edge = parcel.mem[i, at.CELL], parcel.mem[i, at.EDGE]
+            nx = c * parcel.normal[edge, 0] - s * parcel.normal[edge, 1]
+            ny = s * parcel.normal[edge, 0] + c * parcel.normal[edge, 1]
+            rx = y[0] + h * y[at.UX] - surface.pos[cell, 0]
+            ry = y[1] + h * y[at.UY] - surface.pos[cell, 1]
+            normal[0] += side * nx
+            normal[1] += side * ny
+            normal[2] += side * (nx * ry - ny * rx) / arm
+
+
+@kernel
+def leaving_rates(parcel, work, w, rates):
+    """How fast the velocity ``w`` leaves each captured surface, into ``rates``. Returns the largest."""
+    most = 0.0
+    for g in range(parcel.ctl[at.N_GROUPS]):
+        normal = work.normals[g]
+        rates[g] = -(normal[0] * w[0] + normal[1] * w[1] + normal[2] * w[2])
+        most = max(most, abs(rates[g]))
+    return most
+
+
+@kernel
+def at_fractions(surface, parcel, work, e, h, w):
+    """Velocity after a step of ``h`` at the present fractions. Returns (how many wheels pull, whether it was found)."""
+    count = grasp(surface, parcel, work, work.law, e, h)
+    return count, find_velocity(surface, parcel, work, count, h, w)
+
+
+@kernel
+def find_motion(surface, parcel, work, e, h, w):
+    """Velocity after a step of ``h`` into ``w``, and the fractions that leave it along captured surfaces.
+
+    In an instant the fractions stay what they are. Returns (how many wheels pull, whether it was found).
+    """
+    count, found = at_fractions(surface, parcel, work, e, h, w)
+    groups, fraction, rates = parcel.ctl[at.N_GROUPS], work.fraction, work.reply[3]
+    if groups == 0 or h <= INSTANT or not found:
+        return count, found
+    note_normals(surface, parcel, work, h)
+    size = abs(work.start[0]) + abs(work.start[1]) + abs(work.start[2])
+    for i in range(count):
+        size = max(size, work.wheels[i, im.SUMMED])
+    for k in range(FRACTION_STEPS):
+        off = leaving_rates(parcel, work, w, rates)
+        if off <= ROUNDED * EPSILON * (size + abs(w[0]) + abs(w[1]) + abs(w[2])):
+            break
+        if k % CHORDS == 0:
+            for g in range(groups):
+                fraction[g] += NUDGE
+                _, found = at_fractions(surface, parcel, work, e, h, w)
+                fraction[g] -= NUDGE
+                leaving_rates(parcel, work, w, work.change)
+                for j in range(groups):
+                    work.matrix[j, g] = (rates[j] - work.change[j]) / NUDGE
+        if solve(work.matrix, groups, rates, work.change, work.scratch) == 0.0:
+            break
+        for g in range(groups):
+            fraction[g] += work.change[g]
+        count, found = at_fractions(surface, parcel, work, e, h, w)
+        if not found:
+            break
+    return count, found
+
+
+@kernel
+def outside(parcel, work):
+    """How far a captured group's fraction is outside [0, 1]; 0 where none is."""
+    most = 0.0
+    for g in range(parcel.ctl[at.N_GROUPS]):
+        most = max(most, -work.fraction[g], work.fraction[g] - 1.0)
+    return most
+
+
+@kernel
 def euler(surface, parcel, work, until, h):
     """One implicit step of ``h`` that ends at ``until``, with the loads found last.
 
@@ -54,8 +146,8 @@ def euler(surface, parcel, work, until, h):
     start[0], start[1], start[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
     begin_balance(surface)
     while True:
-        count = grasp(surface, parcel, work, work.law, decay(parcel.par, until), h)
-        if not find_velocity(surface, parcel, work, count, h, w):
+        count, found = find_motion(surface, parcel, work, decay(parcel.par, until), h, w)
+        if not found:
             status = im.NOT_SOLVED
             break
         noise = 8.0 * EPSILON * (abs(w[0]) + abs(w[1]) + abs(start[0]) + abs(start[1])) / h
@@ -103,7 +195,7 @@ def cut(surface, parcel, work, now, h, parts):
         y[k] = work.begin[k]
     take_back(work)
     restore_grips(surface, work)
-    work.first[im.SLIPPED] = 0.0
+    work.first[im.SLIPPED] = work.first[im.OUTSIDE] = 0.0
     for j in range(parts):
         status = supports_here(surface, parcel, work)
         if status != at.MOVING:
@@ -113,6 +205,8 @@ def cut(surface, parcel, work, now, h, parts):
         commit_grips(surface, work, pulling)
         if parts == PARTS and work.law[im.LOCATED] != 0.0 and work.law[im.SET_VALUED] != 0.0:
             work.first[im.SLIPPED] = max(work.first[im.SLIPPED], largest_slip(work, pulling))
+        if parts == PARTS:
+            work.first[im.OUTSIDE] = max(work.first[im.OUTSIDE], outside(parcel, work))
         if j == 0:
             work.first[im.REGIME] = wheels
             for k in range(3):

@@ -31,15 +31,17 @@ from plant.kernels.common.changes import apply
 from plant.kernels.common.hooks import implements
 from plant.kernels.common.jit import kernel
 from plant.kernels.common.loads import settle
+from plant.kernels.common.modes import least_share
 from plant.kernels.common.series import taylor
 from plant.kernels.common.sliding_validity import watch
-from plant.kernels.common.springs import gap, negligible, plane_at
+from plant.kernels.common.springs import gap, negligible, note_gaps, plane_at
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.common.wheel_direction import next_turn
-from plant.kernels.implicit.dense import accelerate, expand
-from plant.kernels.implicit.event_hooks import UNCAPTURED, follow_captures, prepare_captures
+from plant.kernels.implicit.dense import expand
+from plant.kernels.implicit.event_hooks import UNCAPTURED, follow_captures
 from plant.kernels.implicit.extrapolation import controlled, extrapolated
 from plant.kernels.implicit.hooks import keep, take_back
+from plant.kernels.implicit.sliding import accelerate_along, by_series, until_a_side_ends
 from plant.kernels.implicit.slips import (
     commit_slips,
     end_slips,
@@ -69,7 +71,7 @@ TRIFLE = 1e-3
 @kernel
 def prepare(surface, parcel, work, now, events):
     """Loads, and branches of the law, where a step begins. Returns the status."""
-    status = prepare_captures(surface, parcel, work, now, events)
+    status = prepare_supports(surface, parcel, work, now, events)
     if status == at.MOVING:
         note_centroid(work)
     return status
@@ -87,17 +89,25 @@ def prepare_uncaptured(surface, parcel, work, now):
     return status
 
 
-@implements(prepare_captures, *UNCAPTURED, own=True)
-def _nothing_to_capture(surface, parcel, work, now, _events):
-    return prepare_uncaptured(surface, parcel, work, now)
+@kernel
+def prepare_mixed(surface, parcel, work, now, e, events):
+    """As ``prepare_supports``, where captured motion is stepped. Returns the status."""
+    work.pace[im.NOW] = now
+    if work.law[im.LOCATED] != 0.0:
+        settle_slips(surface, parcel, e)
+    return capture_and_settle(surface, parcel, work, now, e, events)
 
 
-@implements(prepare_captures, *UNCAPTURED, own=False)
-def _capture(surface, parcel, work, now, events):
+@kernel
+def prepare_supports(surface, parcel, work, now, events):
+    """Loads, and what is captured. Returns the status."""
     if work.law[im.CAPTURES] == 0.0:
         return prepare_uncaptured(surface, parcel, work, now)
     e = decay(parcel.par, now)
-    return capture_and_settle(surface, parcel, work, now, e if e >= DECAYED else 0.0, events)
+    e = e if e >= DECAYED else 0.0
+    if by_series(work):
+        return capture_and_settle(surface, parcel, work, now, e, events)
+    return prepare_mixed(surface, parcel, work, now, e, events)
 
 
 @kernel
@@ -135,7 +145,7 @@ def find_events(surface, parcel, work, now, h):
     Times are in steps. Leaves the parcel where the step began, and where it ends in ``work.end``.
     """
     y = parcel.y
-    accelerate(surface, parcel, work, now + h, work.ended)
+    accelerate_along(surface, parcel, work, now + h, work.ended)
     for k in range(6):
         work.end[k], y[k] = y[k], work.begin[k]
     carry_supports(parcel, work)
@@ -143,7 +153,7 @@ def find_events(surface, parcel, work, now, h):
     count, first = search(surface, parcel, work, order, im.UNITY)
     for i in range(count):
         # of cells that are overlooked at one edge, not captured
-        if work.found[i, at.EV_KIND] == at.CORNER:
+        if work.found[i, at.EV_KIND] == at.CORNER and parcel.ctl[at.N_GROUPS] == 0:
             work.found[i, at.EV_KIND] = at.LEAVE
     for k in range(3):
         work.before[k] = slope(work.ser[at.S_UX + k], order, first) / h
@@ -173,7 +183,10 @@ def event_motion(surface, parcel, work, kind, cell, edge, now, t):
         rate, _ = edge_motion(surface.pos, parcel.normal, cell, edge, y, c, s, work.before)
         return depth(surface, parcel, cell, edge, c, s), rate
     if kind == at.UNLOAD or kind == at.TOUCH:
-        seg = work.seg
+        # the last entry says in which mode
+        seg = work.segs[edge]
+        if parcel.ctl[at.N_GROUPS] > 0:
+            note_gaps(surface, parcel, seg, at.MARK + edge)
         a0, bx, by = plane_at(surface, seg, -seg[at.CX], -seg[at.CY])
         rx, ry = surface.pos[cell, 0] - y[0] - seg[at.CX], surface.pos[cell, 1] - y[1] - seg[at.CY]
         load = a0 + bx * rx + by * ry - gap(surface, cell)
@@ -286,7 +299,7 @@ def _nothing_captured(_surface, _parcel, _work, _now, _left, _events):
 
 @implements(follow_captures, *UNCAPTURED, own=False)
 def _along_captures(surface, parcel, work, now, left, events):
-    if parcel.ctl[at.N_GROUPS] == 0:
+    if parcel.ctl[at.N_GROUPS] == 0 or not by_series(work):
         return at.MOVING, 0.0, at.ZERO
     return captured_step(surface, parcel, work, now, left, events)
 
@@ -344,7 +357,7 @@ def step(surface, parcel, work, now, left, events):
     if blind:
         quiet = dwell(parcel, work)
         pace[im.CROWD] -= AFTER_DWELL
-    crossed = ctl[at.N_CROSSED] if quiet > 0.0 else at.ZERO
+    crossed = ctl[at.N_CROSSED] if quiet > 0.0 and ctl[at.N_GROUPS] == 0 else at.ZERO
     status = prepare(surface, parcel, work, now, events)
     ctl[at.N_CROSSED] = 0
     if status != at.MOVING:
@@ -360,14 +373,18 @@ def step(surface, parcel, work, now, left, events):
         work.begin[k] = y[k]
     keep(work)
     keep_grips(surface, parcel, work, decay(parcel.par, now))
-    accelerate(surface, parcel, work, now, work.begun)
+    accelerate_along(surface, parcel, work, now, work.begun)
     while slips and give_way(surface, parcel, work):
         # a wheel that slips may pull with less than it held, and others give way in turn
-        accelerate(surface, parcel, work, now, work.begun)
+        accelerate_along(surface, parcel, work, now, work.begun)
+    share, _, _ = least_share(parcel, work)
     most = look_ahead(surface, parcel, work, now, left)
     status, h, attempts = controlled(surface, parcel, work, now, most, at.ZERO)
     if status == at.MOVING and not finite(y):
         status = at.NOT_FINITE
+    if status == at.MOVING and ctl[at.N_GROUPS] > 0:
+        status, h, more = until_a_side_ends(surface, parcel, work, now, h, share)
+        attempts += more
     if status == at.MOVING and slips:
         status, h, more = until_one_slips(surface, parcel, work, now, h)
         attempts += more

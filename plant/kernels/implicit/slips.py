@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
-from plant.kernels.common.branches import leeway, lever, slight, slip_now
+from plant.kernels.common.branches import SLIGHT, leeway, lever, pulls, slight, slip_now
 from plant.kernels.common.jit import kernel
 from plant.kernels.implicit.extrapolation import extrapolated
+from plant.kernels.implicit.sliding import accelerate_along
 from plant.kernels.implicit.step import rounded_slip, sign, slip_at
 from plant.kernels.implicit.supports import decay
 
@@ -23,12 +24,12 @@ AIM = 3.0
 """... and how many times larger it is sought to be."""
 LOOKS = 64
 """So many times is a step that ends there taken at most: bisection alone needs no more."""
-NEAR = 1e-5
-"""In a step this short, s, it is known well enough when a wheel gives way whose force then falls; ..."""
-SHARE = 0.05
-"""... of a longer one this share is left to shorter ones."""
 CLOSE = 1e-13
 """Two ends of a step this near, s, are one."""
+PROMPT = 1e-3
+"""Where a force falls as a wheel gives way, the time is right to this share of the tolerance, per m/s."""
+RESTING = 1e-9
+"""A rate of slip that is none, over what the wheel's limit accelerates the parcel by."""
 
 
 @kernel
@@ -37,7 +38,7 @@ def settle_slips(surface, parcel, e):
     mem, par = parcel.mem, parcel.par
     for i in range(parcel.ctl[at.N_MEMBERS]):
         cell = mem[i, at.CELL]
-        if mem[i, at.MARK] == at.ACTIVE and surface.grip[cell] != 0.0:
+        if pulls(surface, parcel, i):
             for axis in range(2):
                 slip, zero = slip_now(surface, parcel.y, par[at.FREE_SPEED], e, cell, axis)
                 if abs(slip) > max(par[at.TOLERANCE], zero):
@@ -45,19 +46,26 @@ def settle_slips(surface, parcel, e):
 
 
 @kernel
+def gives_way(wheel, acceleration, axis):
+    """The rate of slip of a wheel that sticks and, by the rule at an instant, gives way; 0 of one that doesn't."""
+    rate = slip_at(wheel, acceleration, axis)
+    none = max(rounded_slip(wheel, acceleration), RESTING * wheel[im.CX + axis])
+    return rate if wheel[im.CX + axis] > 0.0 and abs(rate) > none else 0.0
+
+
+@kernel
 def give_way(surface, parcel, work):
-    """Put wheels on their side that stuck and, by the step of an instant solved last, don't. Returns whether any."""
+    """Put wheels on their side that stuck and, by the accelerations asked for last, don't. Returns whether any."""
     mem, row, any_did = parcel.mem, at.ZERO, False
     for i in range(parcel.ctl[at.N_MEMBERS]):
-        if mem[i, at.MARK] != at.ACTIVE or surface.grip[mem[i, at.CELL]] == 0.0:
+        if not pulls(surface, parcel, i):
             continue
-        wheel = work.wheels[row]
-        row += 1
         for axis in range(2):
-            slip = slip_at(wheel, work.velocity, axis)
-            if mem[i, at.BRANCH + axis] == 0 and abs(slip) > rounded_slip(wheel, work.velocity):
-                mem[i, at.BRANCH + axis] = 1 if slip > 0.0 else -1
+            rate = gives_way(work.wheels[row], work.velocity, axis)
+            if mem[i, at.BRANCH + axis] == 0 and rate != 0.0:
+                mem[i, at.BRANCH + axis] = 1 if rate > 0.0 else -1
                 any_did = True
+        row += 1
     return any_did
 
 
@@ -122,6 +130,8 @@ def until_one_slips(surface, parcel, work, now, h):
 
     Left in ``work.wheels`` is which wheels do, on which side: ``commit_slips`` takes them for it.
     """
+    if work.law[im.STATIC_RATIO] > 1.0:
+        return until_a_force_falls(surface, parcel, work, now, h)
     low, high, slip, last = 0.0, h, work.first[im.SLIPPED], h
     older, slip_older = 0.0, 0.0
     status, attempts = at.MOVING, at.ZERO
@@ -144,14 +154,70 @@ def until_one_slips(surface, parcel, work, now, h):
         status, _ = extrapolated(surface, parcel, work, now, high)
         attempts += 1
     note_slips(parcel, work, band)
-    begin = beginning(older, slip_older, high, slip)
-    if work.law[im.STATIC_RATIO] > 1.0 and low < begin < high:
-        # the parts of a long step are wrong by more than is asked of the time at which a force falls
-        high = begin if begin <= NEAR else (1.0 - SHARE) * begin
+    return status, high, attempts
+
+
+@kernel
+def note_rates(surface, parcel, work, now):
+    """Keep which wheels that stick give way at ``now``, and on which side. Returns the largest rate of slip."""
+    accelerate_along(surface, parcel, work, now, work.ended)
+    most = 0.0
+    for row in range(min(parcel.ctl[at.N_MEMBERS], work.wheels.shape[0])):
+        wheel = work.wheels[row]
+        for axis in range(2):
+            rate = gives_way(wheel, work.velocity, axis)
+            wheel[im.SIDE_X + axis] = sign(rate)
+            most = max(most, abs(rate))
+    return most
+
+
+@kernel
+def left_over(surface, parcel, work, now):
+    """The largest slip, m/s, of wheels that stick where the step begins."""
+    par, most = parcel.par, 0.0
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        for axis in range(2):
+            if parcel.mem[i, at.BRANCH + axis] == 0 and pulls(surface, parcel, i):
+                cell = parcel.mem[i, at.CELL]
+                slip, _ = slip_now(surface, work.begin, par[at.FREE_SPEED], decay(par, now), cell, axis)
+                most = max(most, abs(slip))
+    return most
+
+
+@kernel
+def until_a_force_falls(surface, parcel, work, now, h):
+    """As ``until_one_slips``, where a wheel pulls with less as soon as it slips.
+
+    The time counts, not the slip: it is sought where, by the accelerations at the step's end, a wheel gives way.
+    """
+    low, high, last = 0.0, h, h
+    older, rate_older = 0.0, 0.0
+    status, attempts = at.MOVING, at.ZERO
+    # a slip of no account, or one that the error of the step before left, may end again
+    band = max(2.0 * left_over(surface, parcel, work, now), SLIGHT * parcel.par[at.TOLERANCE])
+    slipped = work.first[im.SLIPPED] > band
+    rate = note_rates(surface, parcel, work, now + h)
+    enough = max(CLOSE, PROMPT * parcel.par[at.TOLERANCE])
+    while (rate > 0.0 or slipped) and high - low > enough and attempts < LOOKS:
+        t = beginning(older, rate_older, high, rate)
+        if rate > 0.0 and low < t and high - t <= enough:
+            break
+        if not low < t < high or attempts % 4 == 3:
+            t = 0.5 * (low + high)
+        status, _ = extrapolated(surface, parcel, work, now, t)
+        attempts += 1
+        if status != at.MOVING:
+            return status, t, attempts
+        last, slips = t, work.first[im.SLIPPED] > band
+        now_rate = note_rates(surface, parcel, work, now + t)
+        if now_rate > 0.0 or slips:
+            older, rate_older, high, rate, slipped = high, rate, t, now_rate, slips
+        else:
+            low = t
+    if last != high:
         status, _ = extrapolated(surface, parcel, work, now, high)
         attempts += 1
-        if begin > NEAR:
-            note_slips(parcel, work, band)
+        note_rates(surface, parcel, work, now + high)
     return status, high, attempts
 
 
@@ -182,7 +248,7 @@ def commit_slips(surface, parcel, work):
     """Put wheels on the side that ``note_slips`` noted."""
     mem, row = parcel.mem, at.ZERO
     for i in range(parcel.ctl[at.N_MEMBERS]):
-        if mem[i, at.MARK] != at.ACTIVE or surface.grip[mem[i, at.CELL]] == 0.0:
+        if not pulls(surface, parcel, i):
             continue
         for axis in range(2):
             side = work.wheels[row, im.SIDE_X + axis]

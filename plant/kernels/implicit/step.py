@@ -12,10 +12,10 @@ from math import exp, isfinite, nan
 
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
-from plant.kernels.common.branches import slip_now
+from plant.kernels.common.branches import pulls, slip_now
 from plant.kernels.common.jit import kernel
-from plant.kernels.common.motion import solve
-from plant.kernels.common.springs import gap, plane_at, shift, stiffness
+from plant.kernels.common.motion import share_of, solve
+from plant.kernels.common.springs import gap, note_gaps, plane_at, shift, stiffness
 from plant.kernels.implicit.hooks import lighten, summed, unloaded
 from plant.kernels.implicit.traction_hooks import drag, factor
 
@@ -142,6 +142,43 @@ def keep_slips(surface, parcel, i, row, e):
 
 
 @kernel
+def press(surface, parcel, work, ahead_x, ahead_y):
+    """Every mode's plane of the springs, the parcel's centre being so far ahead, into ``work.planes``."""
+    sx, sy = shift(surface)
+    groups = parcel.ctl[at.N_GROUPS]
+    for m in range(1 << groups):
+        seg, plane = work.segs[m], work.planes[m]
+        if groups > 0:
+            note_gaps(surface, parcel, seg, at.MARK + m)
+        mx, my = ahead_x + sx - seg[at.CX], ahead_y + sy - seg[at.CY]
+        plane[0], plane[1], plane[2] = plane_at(surface, seg, mx, my)
+
+
+@kernel
+def mean_share(surface, parcel, work, i, continues):
+    """A member's load by the planes, and the share of the motion in which it carries any, modes mixed.
+
+    A load below zero counts only if it ``continues`` from above.
+    """
+    mem, groups = parcel.mem, parcel.ctl[at.N_GROUPS]
+    cell, load, weight = mem[i, at.CELL], 0.0, 0.0
+    rx, ry = surface.pos[cell, 0] - parcel.y[0], surface.pos[cell, 1] - parcel.y[1]
+    for m in range(1 << groups):
+        if mem[i, at.MARK + m] != at.ACTIVE:
+            continue
+        seg, plane = work.segs[m], work.planes[m]
+        pressed = plane[0] + plane[1] * (rx - seg[at.CX]) + plane[2] * (ry - seg[at.CY]) - gap(surface, cell)
+        share = stiffness(surface, cell, i) * pressed
+        if share > 0.0 or continues:
+            part = share_of(work.fraction, groups, m)
+            load += part * share
+            weight += part
+        elif groups == 0:
+            weight = 1.0
+    return load, weight
+
+
+@kernel
 def grasp(surface, parcel, work, law, e, h):
     """List the wheels that pull, with the law's coefficients at the loads that ``settle`` found. Returns how many.
 
@@ -149,11 +186,9 @@ def grasp(surface, parcel, work, law, e, h):
     those where the parcel's present velocity leads until then: a wheel that sticks all along sticks with the levers of
     the end, and so does the next step's.
     """
-    mem, y, seg, wheels = parcel.mem, parcel.y, work.seg, work.wheels
+    mem, y, wheels = parcel.mem, parcel.y, work.wheels
     ahead_x, ahead_y = h * y[at.UX], h * y[at.UY]
-    sx, sy = shift(surface)
-    mx, my = ahead_x + sx - seg[at.CX], ahead_y + sy - seg[at.CY]
-    a0, bx, by = plane_at(surface, seg, mx, my)
+    press(surface, parcel, work, ahead_x, ahead_y)
     arm = work.pace[im.GYRATION]
     # past the instant at which a support is lifted its load goes on falling, until the step is ended there
     continues = work.pace[im.LOCATES] != 0.0 and law[im.WHEEL] == 0.0
@@ -162,13 +197,10 @@ def grasp(surface, parcel, work, law, e, h):
     count = at.ZERO
     for i in range(parcel.ctl[at.N_MEMBERS]):
         cell = mem[i, at.CELL]
-        if mem[i, at.MARK] != at.ACTIVE or surface.grip[cell] == 0.0:
+        if not pulls(surface, parcel, i):
             continue
         rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
-        pressed = a0 + bx * (rx - seg[at.CX]) + by * (ry - seg[at.CY]) - gap(surface, cell)
-        share = stiffness(surface, cell, i) * pressed
-        if share < 0.0 and not continues:
-            share = 0.0
+        share, part = mean_share(surface, parcel, work, i, continues)
         vx, vy = unloaded(surface, cell, e)
         row = wheels[count]
         row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
@@ -177,10 +209,10 @@ def grasp(surface, parcel, work, law, e, h):
         along_x, along_y = factor(surface, cell)
         along_x *= share
         along_y *= share
-        row[im.BX] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_x
-        row[im.BY] = law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_y
-        limit_x = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_x
-        limit_y = law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_y
+        row[im.BX] = part * law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_x
+        row[im.BY] = part * law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_y
+        limit_x = part * law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_x
+        limit_y = part * law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_y
         row[im.CX], row[im.CY] = max(limit_x, 0.0), max(limit_y, 0.0)
         row[im.GX] = row[im.GY] = push_x = push_y = 0.0
         if law[im.PUSH_PER_SHARE] != 0.0:
@@ -188,7 +220,7 @@ def grasp(surface, parcel, work, law, e, h):
             push_x, push_y = law[im.PUSH_PER_SHARE] * along_x, law[im.PUSH_PER_SHARE] * along_y
             row[im.GX], row[im.GY] = push_x * sign(vx), push_y * sign(vy)
         row[im.LX] = row[im.LY] = 0.0
-        row[im.K] = law[im.VISCOUS]
+        row[im.K] = part * law[im.VISCOUS]
         if law[im.LOCATED] != 0.0:
             hold_branches(mem, i, row, limit_x, limit_y, law[im.SET_VALUED])
             if law[im.SET_VALUED] != 0.0 and h <= INSTANT:

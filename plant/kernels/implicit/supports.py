@@ -56,15 +56,17 @@ def corner_speed(parcel):
 
 @kernel
 def note_centroid(work):
-    """Keep where the centroid of the supports is from the parcel at the begin of a step."""
-    work.centroid[0], work.centroid[1] = work.seg[at.CX], work.seg[at.CY]
+    """Keep where the centroid of each mode's supports is from the parcel at the begin of a step."""
+    for m in range(work.segs.shape[0]):
+        work.centroid[m, 0], work.centroid[m, 1] = work.segs[m, at.CX], work.segs[m, at.CY]
 
 
 @kernel
 def carry_supports(parcel, work):
     """Have the supports of the step's begin, at ``work.begin``, for those where the parcel is."""
-    work.seg[at.CX] = work.centroid[0] + (work.begin[0] - parcel.y[0])
-    work.seg[at.CY] = work.centroid[1] + (work.begin[1] - parcel.y[1])
+    for m in range(1 << parcel.ctl[at.N_GROUPS]):
+        work.segs[m, at.CX] = work.centroid[m, 0] + (work.begin[0] - parcel.y[0])
+        work.segs[m, at.CY] = work.centroid[m, 1] + (work.begin[1] - parcel.y[1])
 
 
 @kernel

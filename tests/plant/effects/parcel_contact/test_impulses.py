@@ -258,6 +258,7 @@ def _by_pivoting(rows, ends, work, inverse, motion):  # type: ignore[no-untyped-
     return ended, worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_lemkes_method_solves_by_itself(friction: float) -> None:
     for case, island in zip(range(300), islands(13, 8), strict=False):
