@@ -45,7 +45,10 @@ class EffectSpec(Spec):
         lattice: Lattice,  # noqa: ARG002
         pitch_m: float,  # noqa: ARG002
     ) -> Iterator[tuple[tuple[str | int, ...], object, str]]:
-        """Yield settings that do not fit the array: path from the effect's table, value, and violated rule."""
+        """Yield settings that do not fit the array: path from the effect's table, value, and violated rule.
+
+        A value of None is not shown.
+        """
         yield from ()
 
 
@@ -60,11 +63,11 @@ class Effects(Spec):
                 yield name, effect
 
     def problems(self) -> Iterator[tuple[tuple[str, str], object, str]]:
-        """Yield missing and incompatible effects: path in the scene, value, and violated rule."""
+        """Yield missing and incompatible effects: path in the scene, no value, and violated rule."""
         for name, effect in self.enabled():
             for needed in effect.required():
                 if getattr(self, needed, None) is None:
                     yield ("effects", needed), None, f"must be set too: effects.{name} needs it"
             for other in effect.excludes:
                 if getattr(self, other, None) is not None:
-                    yield ("effects", name), "", f"doesn't go with effects.{other}"
+                    yield ("effects", name), None, f"doesn't go with effects.{other}"

@@ -1,4 +1,4 @@
-"""Registry of the wire forms by name."""
+"""Registry of the wire formats by name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["FORMATS", "FormatCodecs", "WireFormat"]
 
 
 class FormatCodecs(NamedTuple):
-    """Both sides of a form."""
+    """Both sides of a wire format."""
 
     coordinator: Callable[[RunSchema], CoordinatorCodec]
     participant: Callable[[RunSchema, int], ParticipantCodec]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 RunLeaf = Literal["sense", "drive", "alive", "ready"]
 WireFormat = Literal["packed", "per_cell", "relayed"]
-"""Name of a wire form; ``bus.wire.formats`` has the forms."""
+"""Name of a wire format; ``bus.wire.formats`` has the formats."""
 
 _RUN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,63}")
 
@@ -65,8 +65,8 @@ def message_kinds(run: str, form: WireFormat, units: int) -> dict[str, int]:
 
     Args:
         run: Name of the run.
-        form: The wire form.
-        units: Number of cells in the form ``per_cell``, of shards in the others.
+        form: The wire format.
+        units: Number of cells in the format ``per_cell``, of shards in the others.
 
     Returns:
         In the order in which a tick's messages are sent.

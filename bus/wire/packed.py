@@ -1,4 +1,4 @@
-"""The packed form: one little-endian array a shard, and one a border between shards."""
+"""The packed format: one little-endian array a shard, and one a border between shards."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from bus.partition import Index
 from bus.sensors import SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
-from bus.wire import msgpack_codec as readings_codec
-from bus.wire.format import CoordinatorCodec, ParticipantCodec, RelayedLinks, RunSchema, Senses, as_slice
-from bus.wire.keys import shard_key, shard_link_key
+from bus.wire.format import RelayedLinks, RunSchema, Senses, as_slice
+from bus.wire.keys import shard_link_key
+from bus.wire.per_shard import PerShardCoordinator, PerShardParticipant
 
 _DRIVE: Final = codec.layout("drive")
 _LINK: Final = codec.layout("sent", "message")
@@ -22,26 +22,17 @@ _NAME: Final = 16
 
 
 @final
-class PackedCoordinator(CoordinatorCodec):
+class PackedCoordinator(PerShardCoordinator):
     """The plant's side: a unit is a shard."""
 
     def __init__(self, wiring: RunSchema) -> None:
+        super().__init__(wiring)
         self._pack = codec.packer()
-        partition, run = wiring.partition, wiring.run
-        shards = range(partition.count)
-        self._cells = len(partition.lattice)
+        self._cells = len(wiring.partition.lattice)
         self._pictures = wiring.readings.camera > 0
-        self.unit_cells = tuple(partition.cells(s) for s in shards)
         self._rows = tuple(as_slice(cells) for cells in self.unit_cells)
-        self.sense_keys = tuple(shard_key(run, s, "sense") for s in shards)
-        self.drive_units = {shard_key(run, s, "drive"): s for s in shards}
-        self.alive_units = {shard_key(run, s, "alive"): s for s in shards}
-        self.ready_units = {shard_key(run, s, "ready"): s for s in shards}
-        self.drive_expr = shard_key(run, None, "drive")
-        self.alive_expr = shard_key(run, None, "alive")
-        self.ready_expr = shard_key(run, None, "ready")
         self.decode_drive = self._decode_drive
-        self.blank_drives = [0.0] * partition.count
+        self.blank_drives = [0.0] * wiring.partition.count
         self._read_drive = [codec.reader("drive", len(cells) * 16, _DRIVE) for cells in self.unit_cells]
 
     def sense_payloads(self, frame: wire.SenseFrame, relayed: RelayedLinks | None = None) -> list[bytes]:
@@ -49,7 +40,7 @@ class PackedCoordinator(CoordinatorCodec):
         del relayed
         common: dict[str, object] = {}
         if self._pictures:
-            common["picture"] = readings_codec.picture_rows(frame.picture)
+            common["picture"] = codec.picture_rows(frame.picture)
         return [self._pack(_sense_fields(frame, rows) | common) for rows in self._rows]
 
     def _decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
@@ -79,7 +70,7 @@ def _sense_fields(frame: wire.SenseFrame, rows: slice | Index) -> dict[str, obje
     if level is not None:
         fields["level"] = level[rows].tobytes()
     if frame.label is not None:
-        fields["label"] = readings_codec.label_bytes(frame.label[rows])
+        fields["label"] = codec.label_bytes(frame.label[rows])
     return fields
 
 
@@ -94,25 +85,21 @@ def _sense_reader(readings: SensorSchema, rows: int) -> codec.Read:
         limit += rows * 2 + _NAME
     if readings.camera:
         names.append("picture")
-        limit += readings.camera * readings_codec.PICTURED_BYTES + _NAME
+        limit += readings.camera * codec.PICTURED_BYTES + _NAME
     return codec.reader("sense", limit, codec.layout(*names))
 
 
 @final
-class PackedParticipant(ParticipantCodec):
+class PackedParticipant(PerShardParticipant):
     """A shard's side: one unit, a part a border."""
 
     def __init__(self, wiring: RunSchema, shard: int) -> None:
+        super().__init__(wiring, shard)
         self._pack = codec.packer()
         partition, run = wiring.partition, wiring.run
         cells = partition.cells(shard)
         self._rows = len(cells)
         self._readings = readings = wiring.readings
-        self.alive_keys = (shard_key(run, shard, "alive"),)
-        self.ready_keys = (shard_key(run, shard, "ready"),)
-        self.drive_keys = (shard_key(run, shard, "drive"),)
-        self.unit_cells = (cells,)
-        self.sense_units = {shard_key(run, shard, "sense"): 0}
         self.decode_sense = self._decode_sense
         self.decode_link = self._decode_link
         self.blank_senses = [None]
@@ -156,9 +143,9 @@ class PackedParticipant(ParticipantCodec):
         if readings.levels:
             level = codec.fractions("sense", fields["level"], rows, readings.sensors)
         if readings.labels:
-            label = readings_codec.labels("sense", fields["label"], rows, readings.labels)
+            label = codec.labels("sense", fields["label"], rows, readings.labels)
         if readings.camera:
-            picture = readings_codec.picture("sense", fields["picture"], readings.camera)
+            picture = codec.picture("sense", fields["picture"], readings.camera)
         return tick, Senses(presence, encoder_m, level, label, picture)
 
     def join_senses(self, values: list[Any]) -> Senses:

@@ -1,4 +1,4 @@
-"""The form of one key a cell and link: maps that any tool reads, for cells in processes of their own.
+"""The format of one key a cell and link: maps that any tool reads, for cells in processes of their own.
 
 Between map and array the values go as packed bytes. Where every cell is a process, each of these lines runs on
 cold caches every tick: hence few calls, and a short way for payloads as this side lays them out.
@@ -16,7 +16,6 @@ from bus.errors import WireError
 from bus.sensors import CameraFrame, SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
-from bus.wire import msgpack_codec as readings_codec
 from bus.wire.fixed_layout import Decode, FieldLayout, FixedLayoutCodec, decode_booleans
 from bus.wire.format import CoordinatorCodec, ParticipantCodec, RelayedLinks, RunSchema, Senses
 from bus.wire.keys import cell_key, cell_link_key
@@ -83,7 +82,7 @@ class SenseWriter:
 
     def _write_pictured(self, frame: wire.SenseFrame, picture: CameraFrame) -> list[bytes]:
         """Encode a tick with a camera frame, which has no fixed layout."""
-        n, shown = len(frame.presence), readings_codec.picture_rows(picture)
+        n, shown = len(frame.presence), codec.picture_rows(picture)
         columns: dict[str, list[Any]] = {
             "presence": frame.presence.tolist(),
             "encoder_m": [None] * n if frame.encoder_m is None else frame.encoder_m.tolist(),
@@ -120,7 +119,7 @@ def sense_decoder(readings: SensorSchema) -> Decode:
     """Return a decoder of sense payloads: to the tick and the cell's senses."""
     sensors, largest, most = readings.sensors, readings.labels, readings.camera
     names = list(_places(readings))
-    limit = (len(names) - 1) * VALUE + most * readings_codec.PICTURED_BYTES
+    limit = (len(names) - 1) * VALUE + most * codec.PICTURED_BYTES
     read, pack = codec.reader("sense", limit, codec.layout(*names)), struct.Struct(f"<{sensors}d").pack
 
     def decode(unit: int, payload: bytes) -> tuple[int, Sensed]:  # noqa: ARG001 - all cells alike
@@ -134,9 +133,9 @@ def sense_decoder(readings: SensorSchema) -> Decode:
         if readings.levels:
             level = pack(*codec.fraction_list("sense", fields["level"], sensors))
         if largest:
-            label = readings_codec.label("sense", fields["label"], largest)
+            label = codec.label("sense", fields["label"], largest)
         if most:
-            picture = readings_codec.picture("sense", fields["picture"], most)
+            picture = codec.picture("sense", fields["picture"], most)
         return tick, (presence, travel, level, label, picture)
 
     return FixedLayoutCodec(_places(readings)).decoder(_short(readings, pack), decode)

@@ -1,4 +1,4 @@
-"""The relayed form: one payload a shard each way in a tick, with its cells' messages in it.
+"""The relayed format: one payload a shard each way in a tick, with its cells' messages in it.
 
 A drive brings the messages of the shard's cells to cells of other shards. The coordinator has the drives of all shards
 before it sends the next senses, and passes the messages on in these: a shard waits for its senses alone. All values
@@ -23,8 +23,8 @@ from bus.sensors import CameraFrame, SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
 from bus.wire.fixed_layout import Binary, Decode, FieldLayout, FixedLayoutCodec
-from bus.wire.format import CoordinatorCodec, ParticipantCodec, RelayedLinks, RunSchema, Senses
-from bus.wire.keys import shard_key
+from bus.wire.format import RelayedLinks, RunSchema, Senses
+from bus.wire.per_shard import PerShardCoordinator, PerShardParticipant
 
 _NAMES: Final = 128
 """Most bytes of the names and lengths of a payload's values."""
@@ -89,24 +89,17 @@ class _Driven(NamedTuple):
 
 
 @final
-class RelayedCoordinator(CoordinatorCodec):
+class RelayedCoordinator(PerShardCoordinator):
     """The plant's side: a unit is a shard."""
 
     def __init__(self, wiring: RunSchema) -> None:
+        super().__init__(wiring)
         self._pack = codec.packer()
-        partition, run, readings = wiring.partition, wiring.run, wiring.readings
+        partition, readings = wiring.partition, wiring.readings
         message = self._message = _NO_MESSAGE if wiring.message is None else wiring.message
         shards = range(partition.count)
-        self.unit_cells = tuple(partition.cells(s) for s in shards)
         order = np.concatenate(self.unit_cells)
         self._order = slice(None) if np.all(order[1:] > order[:-1]) else order
-        self.sense_keys = tuple(shard_key(run, s, "sense") for s in shards)
-        self.drive_units = {shard_key(run, s, "drive"): s for s in shards}
-        self.alive_units = {shard_key(run, s, "alive"): s for s in shards}
-        self.ready_units = {shard_key(run, s, "ready"): s for s in shards}
-        self.drive_expr = shard_key(run, None, "drive")
-        self.alive_expr = shard_key(run, None, "alive")
-        self.ready_expr = shard_key(run, None, "ready")
         self.relays = wiring.message is not None
         outgoing = [partition.outgoing(s) for s in shards]
         incoming = [partition.incoming(s) for s in shards]
@@ -237,18 +230,14 @@ class _Sensed(NamedTuple):
 
 
 @final
-class RelayedParticipant(ParticipantCodec):
+class RelayedParticipant(PerShardParticipant):
     """A shard's side: one unit, and no parts."""
 
     def __init__(self, wiring: RunSchema, shard: int) -> None:
-        partition, run = wiring.partition, wiring.run
+        super().__init__(wiring, shard)
+        partition = wiring.partition
         cells = partition.cells(shard)
         message = _NO_MESSAGE if wiring.message is None else wiring.message
-        self.alive_keys = (shard_key(run, shard, "alive"),)
-        self.ready_keys = (shard_key(run, shard, "ready"),)
-        self.drive_keys = (shard_key(run, shard, "drive"),)
-        self.unit_cells = (cells,)
-        self.sense_units = {shard_key(run, shard, "sense"): 0}
         self.in_parts: dict[str, int] = {}
         self.in_sources = self.in_targets = self.out_sources = self.out_targets = ()
         self.blank_links: list[Any] = []

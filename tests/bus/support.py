@@ -24,7 +24,7 @@ from bus.wire.frames import Control, DriveFrame, LinkFrame, SenseFrame
 MESSAGE = np.dtype([("u", "<f8"), ("hops", "<u2")])
 SENSORS = 2
 FORMS: list[WireFormat] = ["packed", "per_cell", "relayed"]
-both_forms = pytest.mark.parametrize("form", FORMS)
+every_format = pytest.mark.parametrize("form", FORMS)
 
 
 class Network:

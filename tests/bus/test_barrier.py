@@ -12,14 +12,14 @@ from tests.bus.support import (
     FakeClock,
     Network,
     System,
-    both_forms,
+    every_format,
     expected_drive,
     grid,
     step,
 )
 
 
-@both_forms
+@every_format
 def test_the_barrier_names_who_never_appeared_and_who_is_not_ready(memory: Network, form: WireFormat) -> None:
     clock = FakeClock()
     system = System(memory, Partition.each(grid(1, 3)), form, clock=clock, message=MESSAGE)
@@ -67,7 +67,7 @@ def test_a_member_without_a_plant_says_so(memory: Network) -> None:
         member.ready(1.0)
 
 
-@both_forms
+@every_format
 def test_a_run_starts_in_any_order_on_any_transport(network: Network, form: WireFormat) -> None:
     system = System(network, Partition.even(grid(2, 3), 3), form, message=MESSAGE).start()
     drive, losses = step(system, 0)

@@ -20,8 +20,8 @@ from tests.bus.support import (
     FakeClock,
     Network,
     System,
-    both_forms,
     drain,
+    every_format,
     expected_drive,
     gathered,
     grid,
@@ -29,7 +29,7 @@ from tests.bus.support import (
 )
 
 
-@both_forms
+@every_format
 def test_cells_whose_token_goes_are_lost_at_the_first_tick_without_their_drive(
     network: Network, form: WireFormat
 ) -> None:
@@ -49,7 +49,7 @@ def test_cells_whose_token_goes_are_lost_at_the_first_tick_without_their_drive(
     assert system.host.live(3).tolist() == [True, True, False, False, True, True]
 
 
-@both_forms
+@every_format
 def test_a_drive_that_came_before_its_token_went_still_counts(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.each(grid(1, 2)), form).start()
     system.host.publish(system.sense(0))
@@ -64,7 +64,7 @@ def test_a_drive_that_came_before_its_token_went_still_counts(memory: Network, f
     assert losses == [Loss(1, 1, "disconnected")]
 
 
-@both_forms
+@every_format
 def test_a_cell_that_stays_silent_is_lost_at_its_deadline(memory: Network, form: WireFormat) -> None:
     clock = FakeClock()
     stall = StallSpec(deadline_s=3.0)
@@ -85,7 +85,7 @@ def test_a_cell_that_stays_silent_is_lost_at_its_deadline(memory: Network, form:
     assert isinstance(system.members[1].gather(1), Control)
 
 
-@both_forms
+@every_format
 def test_what_a_cell_sends_after_it_was_given_up_is_late(memory: Network, form: WireFormat) -> None:
     clock = FakeClock()
     system = System(memory, Partition.each(grid(1, 2)), form, clock=clock).start()
@@ -98,7 +98,7 @@ def test_what_a_cell_sends_after_it_was_given_up_is_late(memory: Network, form: 
     assert system.host.counters.late == 2
 
 
-@both_forms
+@every_format
 def test_waiting_neighbours_receive_the_report_of_a_loss(network: Network, form: WireFormat) -> None:
     system = System(network, Partition.each(grid(1, 3)), form, message=MESSAGE).start()
     host, (left, middle, right) = system.host, system.members
@@ -139,7 +139,7 @@ def test_a_loss_is_broadcast_by_name(memory: Network) -> None:
     assert decode_control(event[1], 2) == Control("lost", 0, ((0, 1),), "disconnected")  # type: ignore[arg-type]
 
 
-@both_forms
+@every_format
 def test_a_shard_whose_cells_all_failed_stays_until_the_plant_reports_it(
     memory: Network, form: WireFormat
 ) -> None:
@@ -170,7 +170,7 @@ def test_a_shard_whose_cells_all_failed_stays_until_the_plant_reports_it(
     assert reported <= left[0] < reported + 0.8  # the answer, not the end of its ttl_periods
 
 
-@both_forms
+@every_format
 def test_a_firmware_that_fails_loses_its_cells_alone(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.even(grid(2, 2), 2), form, message=MESSAGE).start()
     step(system, 0)
@@ -199,7 +199,7 @@ def test_a_firmware_that_fails_loses_its_cells_alone(memory: Network, form: Wire
     )
 
 
-@both_forms
+@every_format
 @pytest.mark.parametrize("count", [1, 2, 6])
 def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
     network: Network, form: WireFormat, count: int
@@ -248,7 +248,7 @@ def test_nobody_waits_for_a_cell_from_the_tick_of_its_scheduled_death(
     assert [side.counters.late for side in (system.host, *system.members)] == [0] * (1 + count)
 
 
-@both_forms
+@every_format
 def test_a_shard_whose_cells_all_die_by_schedule_has_reported_its_counters_before_the_next_tick(
     network: Network, form: WireFormat
 ) -> None:
@@ -282,7 +282,7 @@ class ReportingClock(FakeClock):
         self.waited()
 
 
-@both_forms
+@every_format
 def test_a_shard_that_keeps_saying_that_it_is_busy_gets_ten_deadlines_and_others_one(
     memory: Network, form: WireFormat
 ) -> None:

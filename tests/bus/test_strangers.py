@@ -17,15 +17,16 @@ from tests.bus.support import (
     MESSAGE,
     Network,
     System,
-    both_forms,
+    every_format,
     expected_drive,
     gathered,
     grid,
+    settle,
     step,
 )
 
 
-@both_forms
+@every_format
 def test_no_payload_on_any_key_breaks_a_run(network: Network, form: WireFormat) -> None:
     system = System(network, Partition.even(grid(2, 2), 2), form, message=MESSAGE).start()
     stranger = network.endpoint()
@@ -38,8 +39,7 @@ def test_no_payload_on_any_key_breaks_a_run(network: Network, form: WireFormat) 
     keys = [f"mdms/test/{leaf}" for leaf in leaves]
     publishers: list[Publisher] = [stranger.publisher(key) for key in keys]
     for publisher in publishers:
-        while not publisher.matched():
-            assert stranger.receive(0.005) is None
+        settle(publisher, stranger)
     far = msgpack.packb({"v": 2, "tick": 10**15, "drive": [0.0, 0.0]})
     outside = msgpack.packb({"v": 2, "tick": 0, "kind": "lost", "cells": [[9, 9]], "detail": ""})
     for tick in range(6):
@@ -107,7 +107,7 @@ def test_a_report_has_as_much_of_what_was_refused_as_there_is_room_for() -> None
     assert again.refused == {(f"cell {i},0", "link: type"): 1 for i in range(COUNTER_LIMIT - 2)}
 
 
-@both_forms
+@every_format
 def test_a_drive_of_a_tick_whose_senses_are_not_out_yet_is_refused_and_booked_against_its_sender(
     network: Network, form: WireFormat
 ) -> None:

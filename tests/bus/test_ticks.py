@@ -20,7 +20,7 @@ from tests.bus.support import (
     SENSORS,
     Network,
     System,
-    both_forms,
+    every_format,
     expected_drive,
     gathered,
     grid,
@@ -28,7 +28,7 @@ from tests.bus.support import (
 )
 
 
-@both_forms
+@every_format
 @pytest.mark.parametrize("count", [1, 2, 6])
 def test_members_get_the_senses_of_their_cells_and_the_host_their_drives(
     network: Network, form: WireFormat, count: int
@@ -63,7 +63,7 @@ def test_members_get_the_senses_of_their_cells_and_the_host_their_drives(
         assert losses == []
 
 
-@both_forms
+@every_format
 @pytest.mark.parametrize("count", [1, 2, 6])
 def test_messages_of_a_tick_are_read_in_the_next(network: Network, form: WireFormat, count: int) -> None:
     system = System(network, Partition.even(grid(2, 3), count), form, message=MESSAGE).start()
@@ -188,7 +188,7 @@ def test_a_message_that_comes_after_the_senses_ends_the_wait_for_it(network: Net
     assert (received.tick, received.message.tolist()) == (1, links.message.tolist())
 
 
-@both_forms
+@every_format
 def test_a_resumed_run_reads_the_messages_that_are_sent_again(network: Network, form: WireFormat) -> None:
     partition = Partition.each(grid(1, 3))
     system = System(network, partition, form, message=MESSAGE)
@@ -216,7 +216,7 @@ def test_a_resumed_run_reads_the_messages_that_are_sent_again(network: Network, 
         assert system.host.gather(tick)[1] == []
 
 
-@both_forms
+@every_format
 def test_a_frame_of_a_tick_that_is_over_is_counted_as_late(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.each(grid(1, 1)), form).start()
     step(system, 0)

@@ -125,8 +125,7 @@ def test_what_was_put_arrives_before_the_loss_of_the_token(network: Network) -> 
     cell.declare_alive("t/alive")
     publisher = cell.publisher("t/data")
     drain(plant, lambda events: ("t/alive", True) in tokens(events))
-    while not publisher.matched():
-        assert cell.receive(0.005) is None
+    settle(publisher, cell)
     for i in range(500):
         publisher.put(str(i).encode())
     cell.withdraw("t/alive")
@@ -173,8 +172,8 @@ def test_a_patient_wait_ends_with_enough_payloads_with_a_token_or_with_its_time(
     plant.subscribe("t/urgent", "urgent")
     plant.watch_alive("t/alive")
     data, urgent = cell.publisher("t/data"), cell.publisher("t/urgent")
-    while not (data.matched() and urgent.matched()):
-        assert cell.receive(0.005) is None
+    settle(data, cell)
+    settle(urgent, cell)
 
     data.put(b"1")
     data.put(b"2")
@@ -197,8 +196,8 @@ def test_quiet_payloads_end_no_wait_and_come_before_what_ends_it(network: Networ
     plant.subscribe("t/quiet/*", "quiet")
     plant.subscribe("t/data")
     quiet, data = cell.publisher("t/quiet/1"), cell.publisher("t/data")
-    while not (quiet.matched() and data.matched()):
-        assert cell.receive(0.005) is None
+    settle(quiet, cell)
+    settle(data, cell)
 
     quiet.put(b"1")
     quiet.put(b"2")
@@ -218,8 +217,8 @@ def test_a_wait_for_a_quiet_payload_ends_with_it_whether_it_is_there_or_comes(ne
     plant.subscribe("t/quiet/1", "quiet")
     plant.subscribe("t/quiet/2", "quiet")
     one, two = cell.publisher("t/quiet/1"), cell.publisher("t/quiet/2")
-    while not (one.matched() and two.matched()):
-        assert cell.receive(0.005) is None
+    settle(one, cell)
+    settle(two, cell)
     for wait_s in (None, 20.0):
         one.put(b"there")
         two.put(b"there")
@@ -242,8 +241,8 @@ def test_a_wait_for_a_quiet_payload_ends_with_what_is_urgent_a_token_or_its_time
     plant.subscribe("t/quiet", "quiet")
     plant.subscribe("t/urgent", "urgent")
     urgent, data = cell.publisher("t/urgent"), cell.publisher("t/data")
-    while not (urgent.matched() and data.matched()):
-        assert cell.receive(0.005) is None
+    settle(urgent, cell)
+    settle(data, cell)
     plant.watch_alive("t/alive")
     ways: list[tuple[Callable[[], object], Event]] = [
         (lambda: urgent.put(b"now"), Received("t/urgent", b"now")),
@@ -265,8 +264,7 @@ def test_receive_takes_one_at_a_time_and_leaves_the_rest(network: Network) -> No
     plant, cell = network.endpoint(), network.endpoint()
     plant.subscribe("t/a")
     publisher = cell.publisher("t/a")
-    while not publisher.matched():
-        assert cell.receive(0.005) is None
+    settle(publisher, cell)
     for payload in (b"1", b"2", b"3"):
         publisher.put(payload)
     assert [plant.receive(5.0, enough=3 - i) for i in range(3)] == [
@@ -297,8 +295,7 @@ def test_threads_may_put_while_another_waits(network: Network) -> None:
     plant.subscribe("t/*")
     publishers = [cell.publisher(f"t/{i}") for i in range(4)]
     for publisher in publishers:
-        while not publisher.matched():
-            assert cell.receive(0.005) is None
+        settle(publisher, cell)
     threads = [
         threading.Thread(target=lambda p=publisher: [p.put(str(i).encode()) for i in range(300)])
         for publisher in publishers

@@ -17,7 +17,7 @@ from bus.partition import Partition
 from bus.transports.base import Endpoint, Received
 from bus.wire.formats import WireFormat
 from bus.wire.frames import Control, Report, decode_control, decode_report, encode_control, encode_report
-from tests.bus.support import EVERYTHING, MESSAGE, FakeClock, Network, System, both_forms, gathered, grid
+from tests.bus.support import EVERYTHING, MESSAGE, FakeClock, Network, System, every_format, gathered, grid
 from tests.fuzz.conftest import Rounds
 from tests.fuzz.mutator import MESSAGEPACK, Mutator
 
@@ -86,7 +86,7 @@ def _heard(ear: Endpoint, traffic: dict[str, list[bytes]]) -> None:
             traffic[event.key].append(event.payload)
 
 
-@both_forms
+@every_format
 def test_spoilt_and_old_frames_on_every_key_change_nothing_and_are_all_counted(form: WireFormat) -> None:
     quiet, system = _system(form), _system(form)
     stranger, ear, traffic = (
@@ -137,7 +137,7 @@ REPORTS = [
 ]
 
 
-@both_forms
+@every_format
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_well_formed_frames_of_a_stranger_can_drive_a_run_but_end_it_in_declared_errors_alone(
     form: WireFormat, seed: int, rounds: Rounds

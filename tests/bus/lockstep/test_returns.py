@@ -21,7 +21,7 @@ from tests.bus.support import (
     PRESENCE,
     Network,
     System,
-    both_forms,
+    every_format,
     expected_drive,
     gathered,
     grid,
@@ -56,7 +56,7 @@ def _admitted(system: System, tick: int, shards: list[int]) -> tuple[int, list[i
     raise AssertionError("nobody was admitted")
 
 
-@both_forms
+@every_format
 def test_a_new_process_joins_at_a_tick_boundary_and_receives_no_earlier_messages(
     network: Network, form: WireFormat
 ) -> None:
@@ -91,7 +91,7 @@ def test_a_new_process_joins_at_a_tick_boundary_and_receives_no_earlier_messages
         assert received[shard, first + 1].sent.tolist() == said.tolist()
 
 
-@both_forms
+@every_format
 def test_what_a_lost_cell_said_in_the_tick_of_its_loss_was_never_said(
     memory: Network, form: WireFormat
 ) -> None:
@@ -115,7 +115,7 @@ def test_what_a_lost_cell_said_in_the_tick_of_its_loss_was_never_said(
     assert not received.sent.any()
 
 
-@both_forms
+@every_format
 def test_a_process_lost_before_it_is_admitted_is_prepared_again(memory: Network, form: WireFormat) -> None:
     system = System(memory, Partition.even(grid(1, 3), 3), form, message=MESSAGE).start()
     step(system, 0)

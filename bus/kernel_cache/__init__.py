@@ -1,0 +1,1 @@
+"""Disk cache of compiled kernels, for every package that has some."""
