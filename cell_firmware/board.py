@@ -27,10 +27,15 @@ from cell_firmware.firmware import (
     drafting,
 )
 
-_PROGRAM = "firmware"
-_WHEELS = "speed_loop"
-_LINKS = "serial"
-_METER = "messages"
+PROGRAM = "firmware"
+WHEELS = "speed_loop"
+LINKS = "serial"
+METER = "messages"
+
+
+def has_hardware(controller: Controller) -> bool:
+    """Whether a controller has a clock, a watchdog, speed loops or lines, beside the program and counters."""
+    return not isinstance(controller, Board) or controller.wheels is not None or controller.links is not None
 
 
 class _BadOutput(Exception):
@@ -39,7 +44,7 @@ class _BadOutput(Exception):
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Done:
+class ProgramStep:
     """Validated result of a program's step.
 
     Attributes:
@@ -72,6 +77,9 @@ class Board(Controller):
         wheels: Given exactly where the wheels have motors.
         links: Driver of the links; None where links deliver whole messages.
         meter: Counter of messages; None: messages are not counted.
+
+    Attributes:
+        parts: The parts by name.
     """
 
     def __init__(
@@ -85,8 +93,8 @@ class Board(Controller):
         self.wheels = wheels
         self.links = links
         self.meter = meter
-        parts: dict[str, BoardComponent | None] = {_WHEELS: wheels, _LINKS: links, _METER: meter}
-        self._parts = {name: part for name, part in parts.items() if part is not None}
+        parts: dict[str, BoardComponent | None] = {WHEELS: wheels, LINKS: links, METER: meter}
+        self.parts = {name: part for name, part in parts.items() if part is not None}
         message = None if firmware.refuses_misfits else firmware.message
         draft = None if message is None else draft_of(message)
         self._draft = None if draft == message else draft
@@ -113,8 +121,8 @@ class Board(Controller):
             FirmwareFailed: The firmware's ``init`` raised, or made no arrays with a row per cell.
         """
         program = self._begun(cells, "init", lambda rows: self.firmware.init(cells.select(rows)))
-        parts = {name: read_only(part.init(cells)) for name, part in self._parts.items()}
-        return ControllerState(cells, {_PROGRAM: program, **parts})
+        parts = {name: read_only(part.init(cells)) for name, part in self.parts.items()}
+        return ControllerState(cells, {PROGRAM: program, **parts})
 
     def _begun(self, cells: Cells, what: str, make: Callable[[NDArray[np.int64]], Any]) -> State:
         """The program's state before its first step, of the cells of these rows together.
@@ -138,12 +146,12 @@ class Board(Controller):
 
     def idle(self, now: StepTime, state: ControllerState) -> ControllerState:
         """Advance every part by a control period in which the program does not run."""
-        after = {name: read_only(part.idle(now, state.parts[name])) for name, part in self._parts.items()}
+        after = {name: read_only(part.idle(now, state.parts[name])) for name, part in self.parts.items()}
         return ControllerState(state.cells, {**state.parts, **after})
 
     def reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
         """Reset the program, as after power-on or by its ``warm_start``, and every part by its own ``reset``."""
-        cells, memory = state.cells, state.parts[_PROGRAM]
+        cells, memory = state.cells, state.parts[PROGRAM]
 
         def make(rows: NDArray[np.int64]) -> State:
             if not warm:
@@ -154,9 +162,9 @@ class Board(Controller):
 
         program = self._begun(cells, "warm_start" if warm else "init", make)
         retained = {
-            name: read_only(part.reset(state.cells, state.parts[name])) for name, part in self._parts.items()
+            name: read_only(part.reset(state.cells, state.parts[name])) for name, part in self.parts.items()
         }
-        return ControllerState(cells, {_PROGRAM: program, **retained})
+        return ControllerState(cells, {PROGRAM: program, **retained})
 
     def receive(
         self, now: StepTime, state: ControllerState, inputs: Inputs
@@ -164,21 +172,21 @@ class Board(Controller):
         """Receive whole messages from the lines."""
         if self.links is None or inputs.inbox is None:
             return state, inputs
-        lines, inbox = self.links.receive(now, state.parts[_LINKS], inputs.inbox)
-        return ControllerState(state.cells, {**state.parts, _LINKS: lines}), replace(inputs, inbox=inbox)
+        lines, inbox = self.links.receive(now, state.parts[LINKS], inputs.inbox)
+        return ControllerState(state.cells, {**state.parts, LINKS: lines}), replace(inputs, inbox=inbox)
 
     def compute(
         self, now: StepTime, state: ControllerState, inputs: Inputs
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period."""
         parts = dict(state.parts)
-        done = self._program(now.tick, state.cells, parts[_PROGRAM], inputs)
-        parts[_PROGRAM] = read_only(done.state)
+        done = self.step_program(now.tick, state.cells, parts[PROGRAM], inputs)
+        parts[PROGRAM] = read_only(done.state)
         drive, outbox = done.speed_m_s, done.outbox
         if self.wheels is not None:
             if inputs.encoder_m is None:
                 raise FirmwareError("this is a bug: a speed loop without encoders")
-            parts[_WHEELS], drive = self.wheels.step(parts[_WHEELS], drive, inputs.encoder_m)
+            parts[WHEELS], drive = self.wheels.step(parts[WHEELS], drive, inputs.encoder_m)
         if done.failures:
             rows = list(done.failures)
             drive = drive.copy()
@@ -189,9 +197,9 @@ class Board(Controller):
                 outbox = Outbox(sent, outbox.message)
         if self.meter is not None:
             received, sent = inputs.inbox and inputs.inbox.received, outbox and outbox.sent
-            parts[_METER] = read_only(self.meter.count(parts[_METER], state.cells, received, sent))
+            parts[METER] = read_only(self.meter.count(parts[METER], state.cells, received, sent))
         if self.links is not None:
-            parts[_LINKS], outbox = self.links.send(now, parts[_LINKS], outbox)
+            parts[LINKS], outbox = self.links.send(now, parts[LINKS], outbox)
         return ControllerState(state.cells, parts), ControllerOutputs(
             drive, outbox, done.failures, done.served
         )
@@ -200,12 +208,12 @@ class Board(Controller):
         """Return the program's variables and the registers of all parts."""
         return {
             **{
-                f"{_PROGRAM}.{name}": array
-                for name, array in self.firmware.observables(state.parts[_PROGRAM]).items()
+                f"{PROGRAM}.{name}": array
+                for name, array in self.firmware.observables(state.parts[PROGRAM]).items()
             },
             **{
                 f"{part.effect or name}.{register}": value
-                for name, part in self._parts.items()
+                for name, part in self.parts.items()
                 for register, value in part.registers(state.parts[name]).items()
             },
         }
@@ -214,12 +222,19 @@ class Board(Controller):
         """Return the counters of all parts, by ``part.counter``."""
         return {
             f"{part.effect or name}.{what}": number
-            for name, part in self._parts.items()
+            for name, part in self.parts.items()
             for what, number in part.counters(state.parts[name]).items()
         }
 
-    def _program(self, tick: int, cells: Cells, before: State, inputs: Inputs) -> _Done:
-        """Step the firmware, all cells at once; if that fails, each cell alone."""
+    def step_program(self, tick: int, cells: Cells, before: State, inputs: Inputs) -> ProgramStep:
+        """Step the firmware, all cells at once; if that fails, each cell alone.
+
+        Args:
+            tick: Of the failures.
+            cells: The cells.
+            before: Their programs' state.
+            inputs: Their inputs.
+        """
         n = len(cells)
         try:
             with drafting(self.firmware, self._draft):
@@ -229,7 +244,7 @@ class Board(Controller):
             problem, trace = _described(error)
             if n == 1:
                 failed = FirmwareFailed(cells.name(0), tick, problem, trace)
-                return _Done(before, np.zeros((1, 2)), None, {0: failed})
+                return ProgramStep(before, np.zeros((1, 2)), None, {0: failed})
             return self._one_by_one(tick, cells, before, inputs, f"{problem} (all {n} cells at once)", trace)
         speed, failures = _speeds(tick, cells, outputs)
         outbox, message = outputs.outbox, self.firmware.message
@@ -237,11 +252,11 @@ class Board(Controller):
             outbox, misfits = outbox.settled(message)
             for i, problem in misfits.items():
                 failures.setdefault(i, FirmwareFailed(cells.name(i), tick, problem))
-        return _Done(state, speed, outbox, failures, outputs.served)
+        return ProgramStep(state, speed, outbox, failures, outputs.served)
 
     def _one_by_one(
         self, tick: int, cells: Cells, before: State, inputs: Inputs, problem: str, trace: str
-    ) -> _Done:
+    ) -> ProgramStep:
         """Step every cell alone, to find the cells that fail."""
         n = len(cells)
         states: list[State] = []
@@ -253,7 +268,7 @@ class Board(Controller):
         for i in range(n):
             row = np.array([i])
             alone = {name: array[row] for name, array in before.items()}
-            done = self._program(tick, cells.select(row), alone, inputs.select(row))
+            done = self.step_program(tick, cells.select(row), alone, inputs.select(row))
             states.append(done.state)
             speed[i] = done.speed_m_s[0]
             if outbox is not None and done.outbox is not None:
@@ -265,9 +280,9 @@ class Board(Controller):
                 served[i] = done.served[0]
         if not failures:  # it fails on many and on no one alone: none of them can be trusted
             failures = {i: FirmwareFailed(cells.name(i), tick, problem, trace) for i in range(n)}
-            return _Done(before, np.zeros((n, 2)), None, failures)
+            return ProgramStep(before, np.zeros((n, 2)), None, failures)
         joined = {name: np.concatenate([state[name] for state in states]) for name in before}
-        return _Done(joined, speed, outbox, failures, served)
+        return ProgramStep(joined, speed, outbox, failures, served)
 
 
 def _speeds(tick: int, cells: Cells, outputs: Outputs) -> tuple[Floats, dict[int, FirmwareFailed]]:
@@ -299,7 +314,7 @@ def _checked(result: Any, before: State, message: np.dtype[Any] | None, n: int) 
     if outputs.outbox is not None:
         _check_outbox(outputs.outbox, message, n)
     served: Any = outputs.served
-    if served is not None and _kind(served) != f"bool of shape ({n},)":
+    if served is not None and not _is_flags(served, (n,)):
         raise _BadOutput(f"served must be None or bool of shape ({n},), not {_kind(served)}")
     return _checked_state(state, before, n), outputs
 
@@ -310,7 +325,7 @@ def _check_outbox(outbox: Any, message: np.dtype[Any] | None, n: int) -> None:
     if not isinstance(outbox, Outbox):
         raise _BadOutput(f"outbox must be an Outbox, not {type(outbox).__name__}")
     sent: Any = outbox.sent
-    if _kind(sent) != f"bool of shape ({n}, 4)":
+    if not _is_flags(sent, (n, 4)):
         raise _BadOutput(f"outbox.sent must be bool of shape ({n}, 4), not {_kind(sent)}")
     found: Any = outbox.message
     if not isinstance(found, np.ndarray) or found.shape != (n, 4) or not can_settle(found.dtype, message):  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
@@ -335,6 +350,10 @@ def _check_observed(firmware: Firmware, state: State) -> None:
     name = firmware.observable
     if name is not None and name not in firmware.observables(state):
         raise _BadOutput(f"observed is {name!r}, and there is no such variable in its state")
+
+
+def _is_flags(value: Any, shape: tuple[int, ...]) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype == np.bool_ and value.shape == shape  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
 
 
 def _kind(value: Any) -> str:

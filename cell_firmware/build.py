@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from cell_firmware.board import Board
+from cell_firmware.board import Board, has_hardware
 from cell_firmware.components import LinkDriver, MessageCounter, WheelDriver
-from cell_firmware.controller import Controller
+from cell_firmware.controller import Controller, ControllerWrapper
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.errors import SettingError
 from cell_firmware.firmware import Firmware
@@ -115,6 +115,29 @@ def build_controller(
         for injected in faults.injected:
             controller = attach_fault(controller, faults.lattice, faults.seed, injected)
     return controller
+
+
+def kernel_modules(controller: Controller, effects: CellEffects) -> tuple[str, ...]:
+    """Return the modules of kernels that cells use, without importing them.
+
+    Args:
+        controller: Result of ``build_controller``.
+        effects: Effects of the cells.
+    """
+    modules: list[str] = []
+    inside = controller
+    while isinstance(inside, ControllerWrapper):
+        inside = inside.controller
+    if controller.message_type is not None:
+        modules.append("cell_firmware.kernels.messages")
+    if isinstance(inside, Board):
+        if has_hardware(controller):
+            modules.append("cell_firmware.kernels.board")
+        if inside.firmware.kernels:
+            modules.append(inside.firmware.kernels)
+    if effects.sensor is not None and effects.sensor.debounce_ticks > 1:
+        modules.append("cell_firmware.kernels.debounce")
+    return tuple(modules)
 
 
 def wheels_of(spec: CellsSpec, effects: CellEffects, motors: MotorFacts | None) -> WheelDriver | None:

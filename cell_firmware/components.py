@@ -22,6 +22,10 @@ class BoardComponent(ABC):
     def init(self, cells: Cells) -> State:
         """Return the state after power-on: arrays by name, each with a row a cell."""
 
+    def constants(self) -> NDArray[Any] | None:
+        """Return its constants as a record of ``cell_firmware.kernels``; None: no kernel steps it."""
+        return None
+
     def reset(self, cells: Cells, state: State) -> State:  # noqa: ARG002
         """Return the state after a reset without loss of power; by default as after power-on.
 

@@ -146,6 +146,11 @@ class Controller(ABC):
         return self.link_type
 
     @property
+    def general(self) -> Controller:
+        """The controller to which faults can be attached: itself, but for a compiled one."""
+        return self
+
+    @property
     def speculative(self) -> bool:
         """Whether ``step`` may be run speculatively: cells that are not due are stepped too, and rolled back."""
         return False

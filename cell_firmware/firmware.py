@@ -150,6 +150,15 @@ class Inputs:
     label: Labels | None = None
     camera: CameraFrame | None = None
 
+    # spelled out, as dataclasses.replace takes four times as long, and there are two a tick
+    def with_presence(self, presence: Bools) -> Inputs:
+        """Return these inputs with other presence bits."""
+        return Inputs(presence, self.encoder_m, self.inbox, self.level, self.label, self.camera)
+
+    def with_inbox(self, inbox: Inbox | None) -> Inputs:
+        """Return these inputs with other messages."""
+        return Inputs(self.presence, self.encoder_m, inbox, self.level, self.label, self.camera)
+
     def select(self, indices: NDArray[np.int64]) -> Inputs:
         """Select the inputs of ``indices``, in order."""
         encoder_m = None if self.encoder_m is None else take_rows(self.encoder_m, indices)

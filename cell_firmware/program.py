@@ -48,6 +48,8 @@ class Program:
     """What a scene may set in ``[cells.parameters]``."""
     message: ClassVar[np.dtype[Any] | None] = None
     """Little-endian structured type of a message between neighbours; None without messages."""
+    kernels: ClassVar[str] = ""
+    """Module of the kernels that step it, imported before processes of cells are forked; empty without kernels."""
     observable: ClassVar[str | None] = None
     """Name of the state variable that is the protocol's field: a number or a vector a cell."""
 

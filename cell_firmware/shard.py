@@ -14,10 +14,11 @@ from bus.errors import StateError
 from bus.partition import Partition
 from bus.sensors import CameraFrame, Labels
 from bus.state import StateFields
+from cell_firmware.board import has_hardware
 from cell_firmware.controller import Controller, ControllerState, StepTime, read_only
 from cell_firmware.effects.base import InputFilter
 from cell_firmware.errors import FirmwareError, FirmwareFailed
-from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, State, opaque_view
+from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, State
 from cell_firmware.specs import nanoseconds
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ class Shard:
     order of ``partition.outgoing(shard)`` and ``partition.incoming(shard)``.
 
     Args:
-        controller: Controller of the cells.
+        controller: Controller of the cells; its compiled form is stepped where there is one.
         cells: All cells of the array, in the lattice's order.
         partition: Partition of the array into shards.
         shard: Number of the shard.
@@ -106,7 +107,7 @@ class Shard:
             partition.lattice.cells[int(i)] for i in self.indices.tolist()
         )
         self._n = len(self.indices)
-        self._controller = controller
+        self._controller = _compiled(controller)
         self._effects = effects or {}
         self._faults = {one.number: one for one in faults}
         self._stages = tuple(stage for stages in self._effects.values() for stage in stages)
@@ -199,21 +200,22 @@ class Shard:
         """Collect messages of the last tick, from inside the shard and over the border."""
         if self._message is None:
             return None
-        received = np.zeros(self._n * 4, dtype=np.bool_)
-        message = np.zeros(self._n * 4, dtype=self._message)
-        received[self._inner_to] = self._sent[self._inner_from]
-        slots = opaque_view(message)
-        slots[self._inner_to] = opaque_view(self._outgoing)[self._inner_from]
-        if links is not None:
-            if links.sent.shape != self._in_to.shape or links.message.shape != self._in_to.shape:
-                raise FirmwareError(
-                    f"this is a bug: {links.message.shape} messages for {self._in_to.shape} incoming links"
-                )
-            received[self._in_to] = links.sent
-            message[self._in_to] = links.message
-        # a slot in which nothing was received reads zero, whatever its sender left there
-        slots[~received] = np.zeros((), dtype=slots.dtype)
-        return Inbox(received.reshape(self._n, 4), message.reshape(self._n, 4))
+        from cell_firmware.kernels.messages import collect
+
+        received = np.zeros((self._n, 4), dtype=np.bool_)
+        message = np.zeros((self._n, 4), dtype=self._message)
+        if links is None:
+            links = _links(0, self._message)
+        elif links.sent.shape != self._in_to.shape or links.message.shape != self._in_to.shape:
+            raise FirmwareError(
+                f"this is a bug: {links.message.shape} messages for {self._in_to.shape} incoming links"
+            )
+        collect(
+            self._message.itemsize, self._sent, self._outgoing.view(np.uint8), self._inner_from, self._inner_to,
+            links.sent, links.message.view(np.uint8), self._in_to,
+            received.reshape(-1), message.reshape(-1).view(np.uint8),
+        )  # fmt: skip
+        return Inbox(received, message)
 
     def _store_outbox(self, outbox: Outbox | None) -> None:
         """Store the cells' messages until the next tick."""
@@ -263,7 +265,7 @@ class Shard:
         self._stages += stages
         from cell_firmware.faults.attach import attach_fault, init_new_wrappers
 
-        self._controller = attach_fault(self._controller, lattice, site.seed, fault)
+        self._controller = attach_fault(self._controller.general, lattice, site.seed, fault)
         drive = self._drive if self._active is None else self._drive[self._active]
         self._state = init_new_wrappers(self._controller, self._state, drive)
 
@@ -300,7 +302,14 @@ class Shard:
         """Messages sent over the border in the last tick; None for firmware without messages."""
         if self._message is None:
             return None
-        return _links(self._sent[self._out_from], self._outgoing[self._out_from])
+        from cell_firmware.kernels.messages import leave
+
+        links = _links(len(self._out_from), self._message)
+        leave(
+            self._message.itemsize, self._sent, self._outgoing.view(np.uint8), self._out_from,
+            links.sent, links.message.view(np.uint8),
+        )  # fmt: skip
+        return links
 
     @property
     def _memory(self) -> Mapping[str, State]:
@@ -328,6 +337,15 @@ def _arrays(parts: Mapping[str, State]) -> dict[str, int]:
     return {f"{part}.{name}": len(array) for part, state in parts.items() for name, array in state.items()}
 
 
-def _links(sent: Bools, message: Messages) -> BoundaryMessages:
-    message[~sent] = np.zeros((), dtype=message.dtype)
-    return BoundaryMessages(sent, message)
+def _compiled(controller: Controller) -> Controller:
+    """Return the compiled form of a controller, without loading kernels where there is nothing to compile."""
+    if not has_hardware(controller):
+        return controller
+    from cell_firmware.compiled import compiled
+
+    return compiled(controller)
+
+
+def _links(count: int, message: np.dtype[Any]) -> BoundaryMessages:
+    """Return links of the border without messages."""
+    return BoundaryMessages(np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=message))

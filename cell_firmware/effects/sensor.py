@@ -14,10 +14,12 @@ from bus.random_streams import CounterStream
 from bus.state import StateFields
 from cell_firmware.effects.base import CellEffectSpec, InputFilter, ShardContext
 from cell_firmware.firmware import Inputs
+from cell_firmware.kernels.arguments import readable
 
 Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 LONGEST_TICKS: Final = 1_000
 """Longest latency, and most readings to wait for."""
+_NOBODY: Final = np.zeros(0, dtype=np.int64)
 THRESHOLD: Final = 0.5
 """Default level at which an analogue sensor reports presence."""
 
@@ -135,7 +137,15 @@ class _Debounce(InputFilter):
     def __init__(self, ticks: int, site: ShardContext) -> None:
         super().__init__()
         self._ticks = ticks
-        self._site = site
+        clocks = site.clocks
+        self._clocks = (0, 0, _NOBODY, _NOBODY)
+        if clocks is not None:
+            self._clocks = (
+                clocks.period_ns,
+                clocks.window_ns,
+                readable(clocks.ppb),
+                readable(clocks.phase_ns),
+            )
         shape = (len(site.cells), site.sensors)
         self._believed = np.zeros(shape, dtype=np.bool_)
         self._read = np.zeros(shape, dtype=np.int64)
@@ -143,18 +153,14 @@ class _Debounce(InputFilter):
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Hold each bit until its change has been read often enough."""
-        other = inputs.presence ^ self._believed
-        back = ~other & (self._read > 0)
-        read = np.where(other, self._read + 1, 0)
-        fresh = self._site.fresh(tick)
-        if fresh is not None:
-            back &= fresh[:, None]
-            read = np.where(fresh[:, None], read, self._read)
-        self.count("bounces", back, alive)
-        changed = read >= self._ticks
-        self._believed = self._believed ^ changed
-        self._read = np.where(changed, 0, read)
-        return replace(inputs, presence=self._believed.copy())
+        from cell_firmware.kernels.debounce import debounce
+
+        presence = np.empty_like(self._believed)
+        self.counters["bounces"] += debounce(
+            self._ticks, tick - 1, *self._clocks, _NOBODY if isinstance(alive, slice) else alive,
+            isinstance(alive, slice), readable(inputs.presence), self._believed, self._read, presence,
+        )  # fmt: skip
+        return inputs.with_presence(presence)
 
 
 @final

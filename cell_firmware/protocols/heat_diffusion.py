@@ -10,10 +10,11 @@ from pydantic import Field
 
 from bus.lattice import Lattice
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.kernels.arguments import numbers, readable
 from cell_firmware.program import Theory
-from cell_firmware.toolkit.boundary_conditions import InitialAndHeld, expand_ranges, message_speeds
+from cell_firmware.toolkit.boundary_conditions import InitialAndHeld, expand_ranges
 from cell_firmware.toolkit.graph import convergence_factor, explicit_warnings
-from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
+from cell_firmware.toolkit.hold import Ttl
 
 
 class HeatDiffusionParameters(InitialAndHeld):
@@ -51,6 +52,8 @@ class HeatDiffusion(Firmware):
     Parameters = HeatDiffusionParameters
     message = np.dtype([("vx_m_s", "<f8"), ("vy_m_s", "<f8")])
     observable = "speed_m_s"
+    kernels = "cell_firmware.kernels.programs.heat_diffusion"
+    refuses_misfits = True  # it sends the speed that it drives, which is checked
 
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, and no cell be named twice."""
@@ -91,15 +94,20 @@ class HeatDiffusion(Firmware):
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """One explicit step; sides are added in the order north, east, south, west."""
-        inbox = inputs.inbox
-        assert inbox is not None, "this is a bug: this firmware has messages"
-        own = state["speed_m_s"]
-        counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
-        neighbour = hold_last(inbox.received, counts, message_speeds(inbox), state["neighbour_m_s"])
-        flow = np.where(counts[:, :, None] > 0, neighbour - own[:, None, :], 0.0)
-        gain = flow[:, 0] + flow[:, 1] + flow[:, 2] + flow[:, 3]
-        speed = np.where(state["held"], own, own + self.parameters.diffusion_number * gain)
+        from cell_firmware.kernels.programs import heat_diffusion
 
-        outbox = Outbox.to_all(self.message, vx_m_s=speed[:, 0], vy_m_s=speed[:, 1])
-        after = {**state, "speed_m_s": speed, "neighbour_m_s": neighbour, "counts": counts}
-        return after, Outputs(speed, outbox)
+        inbox, parameters = inputs.inbox, self.parameters
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        after = {
+            name: np.empty_like(state[name], order="C") for name in ("speed_m_s", "neighbour_m_s", "counts")
+        }
+        outbox = Outbox(
+            np.ones(inbox.received.shape, dtype=np.bool_), np.empty(inbox.received.shape, self.message)
+        )
+        heat_diffusion.step(
+            parameters.diffusion_number, parameters.ttl_periods,
+            readable(inbox.received), numbers(inbox.message, "<f8"),
+            *(readable(state[name]) for name in ("speed_m_s", "held", "neighbour_m_s", "counts")),
+            *after.values(), outbox.message.view("<f8").reshape(after["neighbour_m_s"].shape),
+        )  # fmt: skip
+        return {**state, **after}, Outputs(after["speed_m_s"], outbox)

@@ -10,8 +10,9 @@ from pydantic import Field
 from bus.lattice import Lattice
 from cell_firmware.fields import FieldSpec
 from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
+from cell_firmware.kernels.arguments import readable
 from cell_firmware.specs import Spec
-from cell_firmware.toolkit.hold import Ttl, age_ttl, hold_last
+from cell_firmware.toolkit.hold import Ttl
 
 
 class PresenceFieldParameters(Spec):
@@ -34,6 +35,8 @@ class PresenceField(Firmware):
 
     Parameters = PresenceFieldParameters
     message = np.dtype([("level", "u1")])
+    kernels = "cell_firmware.kernels.programs.presence_field"
+    refuses_misfits = True  # levels are at most 101
 
     def check_geometry(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
         """The field must be a number at every cell."""
@@ -52,18 +55,19 @@ class PresenceField(Firmware):
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """Wake or sleep, and send the own level."""
-        inbox = inputs.inbox
-        assert inbox is not None, "this is a bug: this firmware has messages"
-        counts = age_ttl(inbox.received, state["counts"], self.parameters.ttl_periods)
-        neighbour = hold_last(inbox.received, counts, inbox.message["level"], state["neighbour"])
-        highest = np.maximum(
-            np.maximum(neighbour[:, 0], neighbour[:, 1]), np.maximum(neighbour[:, 2], neighbour[:, 3])
-        )
-        here = inputs.presence[:, 0]
-        for sensor in range(1, inputs.presence.shape[1]):
-            here = here | inputs.presence[:, sensor]
-        level = np.where(here, self.parameters.reach + 1, np.maximum(highest, 1) - 1)
+        from cell_firmware.kernels.programs import presence_field
 
-        speed = np.where(level[:, None] > 0, state["speed_m_s"], 0.0)
-        after = {**state, "neighbour": neighbour, "counts": counts}
-        return after, Outputs(speed, Outbox.to_all(self.message, level=level))
+        inbox, parameters = inputs.inbox, self.parameters
+        assert inbox is not None, "this is a bug: this firmware has messages"
+        after = {name: np.empty_like(state[name], order="C") for name in ("neighbour", "counts")}
+        speed = np.empty((len(inputs.presence), 2))
+        outbox = Outbox(
+            np.ones(inbox.received.shape, dtype=np.bool_), np.empty(inbox.received.shape, self.message)
+        )
+        presence_field.step(
+            parameters.reach, parameters.ttl_periods, readable(inputs.presence), readable(inbox.received),
+            readable(inbox.message["level"]),
+            *(readable(state[name]) for name in ("speed_m_s", "neighbour", "counts")),
+            speed, *after.values(), outbox.message["level"],
+        )  # fmt: skip
+        return {**state, **after}, Outputs(speed, outbox)

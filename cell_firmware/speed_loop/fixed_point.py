@@ -55,6 +55,22 @@ class FixedPointLoop(WheelDriver):
             state["duty"] = np.zeros((n, 2), dtype=np.int32)
         return state
 
+    def constants(self) -> NDArray[Any]:
+        """Return the gains, limits, and units as a record of ``kernels.speed_loop.LOOP``."""
+        from cell_firmware.kernels.speed_loop import FIXED_POINT, LOOP
+
+        loop, scaling = np.zeros(1, dtype=LOOP), self.scaling
+        self._tachometer.describe(loop)
+        loop["kind"], loop["step_m_s"] = FIXED_POINT, self._tachometer.step_m_s
+        for name in ("volts_per_step", "reference_limit", "error_limit", "output_limit"):
+            loop[name] = getattr(scaling, name)
+        gains = {"kp": scaling.kp, "ki": scaling.ki, "ahead": scaling.feed_forward, "share": scaling.share}
+        for name, gain in gains.items():
+            loop[f"{name}_word"], loop[f"{name}_shift"] = gain.word, gain.shift
+        if self._pwm is not None:
+            loop["levels"], loop["supply_v"] = self._pwm.levels, self._pwm.supply_v
+        return loop
+
     def step(self, state: State, reference_m_s: Floats, encoder_m: Floats) -> tuple[State, Floats]:
         """One control period."""
         tachometer = self._tachometer

@@ -65,6 +65,19 @@ class SpeedLoop(WheelDriver):
             state["duty"] = np.zeros((n, 2), dtype=np.int32)
         return state
 
+    def constants(self) -> NDArray[Any]:
+        """Return the gains, limits, and units as a record of ``kernels.speed_loop.LOOP``."""
+        from cell_firmware.kernels.speed_loop import FLOATING_POINT, LOOP
+
+        loop, spec = np.zeros(1, dtype=LOOP), self.spec
+        self._tachometer.describe(loop)
+        loop["kind"], loop["period_s"], loop["supply_v"] = FLOATING_POINT, self.period_s, self.supply_v
+        loop["kp"], loop["ki"], loop["share"] = spec.kp_v_per_m_s, spec.ki_v_per_m, self._share
+        loop["ahead"] = spec.feed_forward_v_per_m_s
+        if self._pwm is not None:
+            loop["levels"] = self._pwm.levels
+        return loop
+
     def step(self, state: State, reference_m_s: Floats, encoder_m: Floats) -> tuple[State, Floats]:
         """One control period."""
         spec = self.spec

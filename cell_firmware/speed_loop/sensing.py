@@ -44,6 +44,10 @@ class Tachometer(ABC):
             encoder_m: ``(n, 2)``, surface travel since the start, m.
         """
 
+    @abstractmethod
+    def describe(self, loop: NDArray[Any]) -> None:
+        """Enter its kind and units into a record of ``kernels.speed_loop.LOOP``."""
+
     def registers(self, state: State) -> dict[str, NDArray[Any]]:  # noqa: ARG002
         """Return the readable registers."""
         return {}
@@ -82,6 +86,12 @@ class Travel(Tachometer):
         """Travel at the last reading, ``(n, 2)`` m."""
         return _travel_state(n)
 
+    def describe(self, loop: NDArray[Any]) -> None:
+        """Enter kind, unit, and period."""
+        from cell_firmware.kernels.speed_loop import TRAVEL
+
+        loop["tachometer"], loop["unit_m_s"], loop["period_s"] = TRAVEL, self.unit_m_s, self._period_s
+
     def read(self, state: State, encoder_m: Floats) -> tuple[State, Floats]:
         """Return the travel since the last reading over the period."""
         return _travelled(state, encoder_m, self._period_s)
@@ -108,6 +118,13 @@ class FixedPointTachometer(IntegerTachometer):
     def init(self, n: int) -> State:
         """Travel at the last reading, ``(n, 2)`` m."""
         return _travel_state(n)
+
+    def describe(self, loop: NDArray[Any]) -> None:
+        """Enter kind, unit, period, and range."""
+        from cell_firmware.kernels.speed_loop import WORD
+
+        loop["tachometer"], loop["unit_m_s"], loop["period_s"] = WORD, self.unit_m_s, self._period_s
+        loop["largest"] = self.largest
 
     def read(self, state: State, encoder_m: Floats) -> tuple[State, Integers]:
         """Return the travel since the last reading over the period, in Q4."""
@@ -139,6 +156,13 @@ class Encoder(IntegerTachometer):
     def init(self, n: int) -> State:
         """The last counts, ``(n, 2)`` uint8."""
         return {"count": np.zeros((n, 2), dtype=np.uint8), "seen": np.zeros((n, 1), dtype=np.bool_)}
+
+    def describe(self, loop: NDArray[Any]) -> None:
+        """Enter kind, unit, travel of a count, and by how many bits a reading is shifted to Q4."""
+        from cell_firmware.kernels.speed_loop import COUNTER
+
+        loop["tachometer"], loop["unit_m_s"], loop["m_per_count"] = COUNTER, self.unit_m_s, self._m_per_count
+        loop["largest"], loop["fraction_shift"] = self.largest, FRACTION_BITS - self.fraction_bits
 
     def read(self, state: State, encoder_m: Floats) -> tuple[State, Integers]:
         """Signed differences modulo 256."""

@@ -77,9 +77,7 @@ def test_a_board_that_is_none_is_refused(changes: tuple[str, ...], line: str) ->
 
 
 def test_requirements_of_a_board_s_effects_are_reported_by_name() -> None:
-    with pytest.raises(
-        SceneError, match=r"effects\.motors = None: must be set too: effects\.encoder needs it"
-    ):
+    with pytest.raises(SceneError, match=r"effects\.motors: must be set too: effects\.encoder needs it"):
         load_scene("elliptic", [Override.parse('cells.board="hc11"')])
 
 

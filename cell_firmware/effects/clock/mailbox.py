@@ -49,6 +49,14 @@ class Mailbox(LinkDriver):
             "overwritten": np.zeros(shape, dtype=np.int64),
         }
 
+    def constants(self) -> NDArray[Any]:
+        """Return the window as a record of ``kernels.lines.LINES``."""
+        from cell_firmware.kernels.lines import LINES, MAILBOX
+
+        links = np.zeros(1, dtype=LINES)
+        links["kind"], links["window_ns"] = MAILBOX, self._window_ns
+        return links
+
     def reset(self, cells: Cells, state: State) -> State:
         """Empty the mailboxes; counters belong to the observer and are retained."""
         return {**self.init(cells), "overwritten": state["overwritten"]}

@@ -39,6 +39,11 @@ class LocalClockWrapper(ControllerWrapper):
         super().__init__(controller)
         self._clocks = clocks
 
+    @property
+    def clocks(self) -> ArrayClocks:
+        """Clocks of the whole array."""
+        return self._clocks
+
     def init(self, cells: Cells) -> ControllerState:
         """Return the state before a cell's first instant, with wheels at rest."""
         inner = self.controller.init(cells)

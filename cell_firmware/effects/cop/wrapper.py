@@ -40,6 +40,11 @@ class WatchdogWrapper(ControllerWrapper):
         controller: Of the cells.
         spec: Timeout and reboot.
         period_ns: The control period, in the cells' own time.
+
+    Attributes:
+        timeout_ns: Time after a service until the watchdog resets the cell.
+        reboot_ns: Time from the reset until the program starts.
+        period_ns: The control period.
     """
 
     part = "cop"
@@ -47,9 +52,9 @@ class WatchdogWrapper(ControllerWrapper):
 
     def __init__(self, controller: Controller, spec: CopSpec, period_ns: int) -> None:
         super().__init__(controller)
-        self._timeout_ns = nanoseconds(spec.timeout_s)
-        self._reboot_ns = round(spec.reboot_s * 1e9)
-        self._period_ns = period_ns
+        self.timeout_ns = nanoseconds(spec.timeout_s)
+        self.reboot_ns = round(spec.reboot_s * 1e9)
+        self.period_ns = period_ns
 
     def init(self, cells: Cells) -> ControllerState:
         """The state before tick 0: power-on clears the counters."""
@@ -77,7 +82,7 @@ class WatchdogWrapper(ControllerWrapper):
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period: resets, and a step of the programs that run."""
         watch = state.parts[self.part]
-        at_ns = watch["instants"] * self._period_ns
+        at_ns = watch["instants"] * self.period_ns
         inner, watch = self._reset(at_ns, self.unwrap_state(state), watch)
         runs = ~watch["hung"] & (at_ns >= watch["starts_ns"])
         waits = np.flatnonzero(~runs)
@@ -104,14 +109,14 @@ class WatchdogWrapper(ControllerWrapper):
         self, at_ns: NDArray[np.int64], inner: ControllerState, watch: State
     ) -> tuple[ControllerState, State]:
         """Reset cells whose watchdog has timed out."""
-        if (at_ns - watch["served_ns"]).max() < self._timeout_ns:
+        if (at_ns - watch["served_ns"]).max() < self.timeout_ns:
             return inner, watch  # none can be, and dividing takes its time
-        bites_ns = -(-(watch["served_ns"] + self._timeout_ns) // DIVIDER_NS) * DIVIDER_NS
+        bites_ns = -(-(watch["served_ns"] + self.timeout_ns) // DIVIDER_NS) * DIVIDER_NS
         over: Bools = at_ns >= bites_ns
         if not over.any():
             return inner, watch
         rows = np.flatnonzero(over)
-        starts_ns = np.where(over, bites_ns + self._reboot_ns, watch["starts_ns"])
+        starts_ns = np.where(over, bites_ns + self.reboot_ns, watch["starts_ns"])
         after: State = {
             **watch,
             "starts_ns": starts_ns,

@@ -111,6 +111,19 @@ class MessageLevelLines(LinkDriver):
             state["ppb"] = own
         return state
 
+    def constants(self) -> NDArray[Any]:
+        """Return lengths and times as a record of ``kernels.lines.LINES``."""
+        from cell_firmware.kernels.lines import LINES, SERIAL
+
+        links = np.zeros(1, dtype=LINES)
+        links["kind"], links["window_ns"], links["period_ns"] = (
+            SERIAL,
+            self._window_ns,
+            self._settings.period_ns,
+        )
+        links["byte_ns"], links["length"], links["slots"] = self._settings.byte_ns, self._length, self._slots
+        return links
+
     def reset(self, cells: Cells, state: State) -> State:
         """Empty the lines, including messages in transmission; counters belong to the observer and are retained."""
         since = np.full_like(state["since"], -1)  # until the next exchange sets it

@@ -1,0 +1,60 @@
+"""A cell's watchdog, as ``cell_firmware.effects.cop`` defines it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cell_firmware.kernels.jit import kernel
+
+WATCHDOG = np.dtype(
+    [
+        ("instants", "<i8"),
+        ("served_ns", "<i8"),
+        ("starts_ns", "<i8"),
+        ("drive", "<f8", (2,)),
+        ("hangs", "<i8"),
+        ("resets", "<i8"),
+        ("hung", "u1"),
+    ],
+    align=True,
+)
+"""State of a cell's watchdog."""
+
+
+@kernel
+def time_out(k, watch):
+    """Reset a cell whose program served its watchdog too long ago. Returns whether it was reset."""
+    at_ns = watch.instants * k.period_ns
+    if at_ns - watch.served_ns < k.timeout_ns:
+        return False
+    bites_ns = -(-(watch.served_ns + k.timeout_ns) // k.divider_ns) * k.divider_ns
+    if at_ns < bites_ns:
+        return False
+    watch.starts_ns = bites_ns + k.reboot_ns
+    watch.served_ns = watch.starts_ns
+    watch.hung = 0
+    watch.drive[0] = 0.0
+    watch.drive[1] = 0.0
+    watch.resets += 1
+    return True
+
+
+@kernel
+def runs(k, watch):
+    """Whether a cell's program runs in its next control period."""
+    return watch.hung == 0 and watch.instants * k.period_ns >= watch.starts_ns
+
+
+@kernel
+def note(k, watch, drive, raised, served):
+    """Note the control period of a program that ran; ``drive``, ``(2,)``, is held if it raised."""
+    if raised:
+        watch.hung = 1
+        watch.hangs += 1
+        drive[0] = watch.drive[0]
+        drive[1] = watch.drive[1]
+        return
+    watch.drive[0] = drive[0]
+    watch.drive[1] = drive[1]
+    if served:
+        watch.served_ns = watch.instants * k.period_ns
