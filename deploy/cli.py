@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit status.
     """
+    _open_closed_streams()
     before = _leave_on_signals()
     try:
         return _run(sys.argv[1:] if arguments is None else arguments)
@@ -39,7 +41,10 @@ def _run(arguments: Sequence[str]) -> int:
     try:
         command = application(given)
         with interruption.handling(), interruption.interruptible():
-            command(given, prog_name="mdms")
+            try:
+                command(given, prog_name="mdms")
+            finally:
+                sys.stdout.flush()  # here, where a failure can still be told
     except SystemExit as end:  # typer's way to end, well or with a usage error
         return end.code if isinstance(end.code, int) else int(end.code is not None)
     except Interrupted as interrupted:
@@ -48,6 +53,16 @@ def _run(arguments: Sequence[str]) -> int:
     except Exception as error:  # noqa: BLE001 - the last place that can say what went wrong
         return _report(error)
     return 0
+
+
+def _open_closed_streams() -> None:
+    """Open standard streams that are closed on the null device: files opened later would take their numbers."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("r" if name == "stdin" else "w"))  # noqa: SIM115 - until the end
 
 
 def _leave_on_signals() -> dict[int, Any]:
@@ -67,6 +82,10 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 def _report(error: Exception) -> int:
     """Print an error on stderr, and return the exit status."""
+    if isinstance(error, OSError) and error.filename is None and (failure := _stdout_failure()) is not None:
+        if not isinstance(failure, BrokenPipeError):  # else the reader, as head, has what it wanted
+            sys.stderr.write(f"mdms: can't write to stdout: {failure.strerror}\n")
+        return 1
     status = _status(error)
     if status is not None:
         sys.stderr.write(f"{error}\n")
@@ -76,6 +95,22 @@ def _report(error: Exception) -> int:
     traceback.print_exception(error)
     sys.stderr.write(f"mdms: this is a bug, please report it with the lines above: {error!r}\n")
     return 1
+
+
+def _stdout_failure() -> OSError | None:
+    """Return the error of writing to stdout; None if stdout can be written.
+
+    Later text is dropped: the interpreter would fail again at its end.
+    """
+    try:
+        sys.stdout.write("\n")  # a failed write is forgotten: only another one shows the failure
+        sys.stdout.flush()
+    except OSError as error:
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, sys.stdout.fileno())
+        os.close(null)
+        return error
+    return None
 
 
 def _status(error: Exception) -> int | None:

@@ -24,7 +24,7 @@ _ROLES = 8
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the keys.")]
 WireOption = Annotated[
     WireFormat | None,
-    typer.Option("--wire", help="Wire form of the runs. Default: as for mdms run."),
+    typer.Option("--wire", help="Wire format of the runs. Default: as for mdms run."),
 ]
 HostOption = Annotated[
     list[str] | None,
@@ -97,7 +97,7 @@ def _print(folder: Path, about: KeyManifest, how: str) -> None:
 
     console = Console(highlight=False)
     cells = sum(map(len, about.roles.values()))
-    console.print(f"[bold]{about.scene}[/bold]  {plural(cells, 'cell')}, wire form {about.wire}")
+    console.print(f"[bold]{about.scene}[/bold]  {plural(cells, 'cell')}, wire format {about.wire}")
     table = Table.grid(padding=(0, 2))
     roles = list(about.roles)
     shown = roles if len(roles) <= _ROLES else [*roles[:3], "...", *roles[-2:]]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
 
@@ -222,33 +223,71 @@ def run(
         checkpoint_s=checkpoint,
     )
     with ExitStack() as held:
-        lock = None
-        if resume is None:
-            if not scene_options.scene:
-                raise InputError("mdms run: name a SCENE, or a run to resume: --resume DIR")
-            scene, resumed = scene_options.load(), None
-        else:
-            check_unchanged(resume, scene_options)
-            if not show_plan:
-                lock = held.enter_context(lock_of(resume, quiet=scene_options.quiet))
-            scene, options, resumed = taken_up(resume, options)
+        started = _prepare(scene_options, options, resume, held, read_only=show_plan)
         if show_plan:
-            print_plan(plan(scene, options, "RUN"), as_json=scene_options.as_json)
+            print_plan(plan(started.scene, started.options, "RUN"), as_json=scene_options.as_json)
             return
 
-        def work(interruption: Interruption) -> Outcome:
-            from deploy.runs.run import run as run_scene
-
-            return run_scene(
-                scene,
-                options,
-                quiet=scene_options.quiet,
-                interruption=interruption,
-                resumed=resumed,
-                lock=lock,
-            )
-
+        work = partial(started.run, quiet=scene_options.quiet)
         execute("the run", work, as_json=scene_options.as_json)
+
+
+class _Prepared(NamedTuple):
+    """A run to execute.
+
+    Attributes:
+        scene: Scene of the run.
+        options: Options of the run; those of the checkpoint where it resumes.
+        checkpoint: Checkpoint to resume from; None: the run begins at time 0.
+        lock: Lock of the output folder; None: the run takes it.
+    """
+
+    scene: Scene
+    options: RunOptions
+    checkpoint: Checkpoint | None
+    lock: OutputLock | None
+
+    def run(self, interruption: Interruption, *, quiet: bool) -> Outcome:
+        """Execute the run until its end, or until it is interrupted."""
+        from deploy.runs.run import run
+
+        return run(
+            self.scene,
+            self.options,
+            quiet=quiet,
+            interruption=interruption,
+            resumed=self.checkpoint,
+            lock=self.lock,
+        )
+
+
+def _prepare(
+    scene_options: RunSceneOptions,
+    options: RunOptions,
+    resume: Path | None,
+    held: ExitStack,
+    *,
+    read_only: bool,
+) -> _Prepared:
+    """Load the scene of a new run, or the checkpoint of a resumed one.
+
+    Args:
+        scene_options: Scene, and options of its output.
+        options: Options of the run.
+        resume: Output folder of the run to resume; None: the run is new.
+        held: Releases the lock of that folder.
+        read_only: Whether the folder is only read, which needs no lock.
+
+    Raises:
+        InputError: No scene is named, the scene is refused, or the run can't be resumed.
+    """
+    if resume is None:
+        if not scene_options.scene:
+            raise InputError("mdms run: name a SCENE, or a run to resume: --resume DIR")
+        return _Prepared(scene_options.load(), options, None, None)
+    check_unchanged(resume, scene_options)
+    lock = None if read_only else held.enter_context(lock_of(resume, quiet=scene_options.quiet))
+    return _Prepared(*taken_up(resume, options), lock)
 
 
 def check_unchanged(folder: Path, scene_options: RunSceneOptions) -> None:
@@ -310,7 +349,7 @@ def print_plan(made: Plan, *, as_json: bool) -> None:
 
     console = Console(highlight=False)
     plant, first = made.processes[0], made.processes[1]
-    console.print(f"[bold]{made.scene}[/bold]  {made.transport}, wire form {made.wire}")
+    console.print(f"[bold]{made.scene}[/bold]  {made.transport}, wire format {made.wire}")
     table = Table.grid(padding=(0, 2))
     for process in made.processes:
         table.add_row(f"[cyan]{process.name}[/cyan]", process.where, _span(process.cells))

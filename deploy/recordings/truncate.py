@@ -10,6 +10,7 @@ from typing import Any, cast
 from deploy.errors import InputError
 from deploy.recordings.format import PROFILE, TICK
 from deploy.recordings.mcap import McapFile
+from deploy.util.formatting import plural
 
 
 def copy_prefix(path: Path, file: McapFile, counts: Mapping[str, int]) -> dict[str, bytes]:
@@ -43,6 +44,6 @@ def copy_prefix(path: Path, file: McapFile, counts: Mapping[str, int]) -> dict[s
         raise InputError(f"there is no {path.name} in {path.parent} to resume") from None
     missing = {topic: number for topic, number in left.items() if number > 0}
     if missing:
-        listed = ", ".join(f"{number} messages of {topic}" for topic, number in missing.items())
+        listed = ", ".join(f"{plural(number, 'message')} of {topic}" for topic, number in missing.items())
         raise InputError(f"{path} ends before the checkpoint: {listed} are missing")
     return last

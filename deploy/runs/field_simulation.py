@@ -179,6 +179,10 @@ class _FieldSimulation:
         self.cells_lost: list[tuple[int, int]] = []
         self.lasting = of_plant(in_run_faults(self.scene))
         self.time_ns = 0
+        self.digest = Digest(b"simulate " + self.scene.canonical())
+        self.ticks = 0
+        self.digest_s = 0.0
+        """Wall time that the digest took so far, which counts for nothing in the speed of the simulation."""
         self.warnings: tuple[str, ...] = ()
 
     def go(self, output: Path | None, *, picture: bool) -> Outcome:
@@ -217,7 +221,7 @@ class _FieldSimulation:
                 self._end(
                     status_of(error), f"{error}; the trajectory up to {self.time_ns * 1e-9:g} s is valid"
                 )
-        wall_s = time.monotonic() - started
+        wall_s = time.monotonic() - started - self.digest_s
         summary = self._summary(plant, folder, wall_s, started - self.begun)
         summary.write(folder)
         if picture and self.status != "interrupted":
@@ -229,8 +233,7 @@ class _FieldSimulation:
 
     def _advance(self, plant: Plant, speeds: Floats, progress: Progress) -> None:
         """Run from death to death and to the end, in slices; sets samples, events and status."""
-        self.times.append(np.zeros(1, dtype=np.int64))
-        self.states.append(plant.state[None])
+        self._add(np.zeros(1, dtype=np.int64), plant.state[None])
         mishaps = Mishaps(progress.say)
         for part in iterate_field_motion(
             self.scene, plant, speeds, check=self.interruption.raise_if_requested, fell=self._on_transition
@@ -239,12 +242,23 @@ class _FieldSimulation:
             mishaps.take(part.events)
 
     def _take(self, part: Trajectory, progress: Progress) -> None:
-        self.times.append(part.time_ns[1:])
-        self.states.append(part.state[1:])
+        self._add(part.time_ns[1:], part.state[1:])
         self.events += part.events
         self.time_ns = int(part.time_ns[-1])
         progress.events = len(self.events)
-        progress.update(sum(len(times) for times in self.times), self.time_ns)
+        progress.update(self.ticks, self.time_ns)
+
+    def _add(self, time_ns: NDArray[np.int64], states: Floats) -> None:
+        """Keep samples, and add them to the digest: there are no senses and no drives to cover."""
+        self.times.append(time_ns)
+        self.states.append(states)
+        begun = time.monotonic()
+        nothing = np.zeros((0, 1), dtype=np.bool_)
+        none: Floats = np.zeros((0, 2))
+        for state in states:
+            self.digest.tick(self.ticks, nothing, none, state)
+            self.ticks += 1
+        self.digest_s += time.monotonic() - begun
 
     def _on_transition(self, tick: int, dead: Sequence[int]) -> None:
         """Note what begins or ends now, as the scene says, and who dies."""
@@ -264,16 +278,6 @@ class _FieldSimulation:
         self.status, self.reason = status, reason
 
     # --- what it leaves ---------------------------------------------------------------------------
-
-    def _digest(self) -> str:
-        """Of all sampled states: there are no senses and no drives to cover."""
-        digest = Digest(b"simulate " + self.scene.canonical())
-        nothing = np.zeros((0, 1), dtype=np.bool_)
-        none: Floats = np.zeros((0, 2))
-        states: Floats = np.concatenate(self.states)
-        for tick in range(len(states)):
-            digest.tick(tick, nothing, none, states[tick])
-        return digest.hexdigest
 
     def _track(self, plant: Plant) -> RunTrace:
         scene, array = self.scene, plant.array
@@ -309,7 +313,7 @@ class _FieldSimulation:
             processes=0,
             transport=None,
             solver=scene.solver.accuracy(),
-            ticks=sum(len(times) for times in self.times) - 1,
+            ticks=self.ticks - 1,
             wall_s=wall_s,
             startup_s=startup_s,
             parcels=parcel_outcomes(plant),
@@ -319,7 +323,7 @@ class _FieldSimulation:
             cells_lost=self.cells_lost,
             feeders=plant.traffic(),
             warnings=self.warnings,
-            digest=self._digest(),
+            digest=self.digest.hexdigest,
             output=str(folder),
         )
 

@@ -14,6 +14,7 @@ from bus.sensors import SensorSchema
 from bus.state import StateFields
 from cell_firmware.clocks import NOT_IN_WINDOW
 from deploy.errors import InputError
+from deploy.runs.compilation import compilation_reported, is_segmented
 from deploy.runs.output import run_name
 from deploy.scenes.fault_schedule import in_run_faults
 from deploy.scenes.warnings import scene_warnings
@@ -269,25 +270,18 @@ def camera_of(scene: Scene, readings: SensorSchema) -> Camera | None:
 
 
 def load_plant(scene: Scene, warn: Callable[[str], None]) -> Plant:
-    """Load the plant of a scene with its kernels; ``warn`` is called before a long compilation.
+    """Load the plant of a scene with its kernels; ``warn`` is called with the progress of a long compilation.
 
     Raises:
         InputError: The plant refuses the scene.
     """
-    from plant.kernels.common.cache import folder
     from plant.plant import Plant
-    from plant.solvers.registry import is_compiled
 
-    motors = scene.effects.motors
-    divided = scene.effects.clock is not None or (motors is not None and motors.first_order.static_v > 0.0)
-    if not is_compiled(scene.solver, divided=divided):
-        _, lasting = folder()
-        once = "once" if lasting else "every time: the cache folder can't be written, see NUMBA_CACHE_DIR"
-        warn(f"compiling the solver ({once}) ...")
-    try:
-        plant = Plant(scene.plant_spec())
-    except PlantError as error:
-        raise InputError(f"scene {scene.name}: {error}") from None
-    if divided:
-        plant.warm_up()
+    with compilation_reported(scene.solver.name, warn):
+        try:
+            plant = Plant(scene.plant_spec())
+        except PlantError as error:
+            raise InputError(f"scene {scene.name}: {error}") from None
+        if is_segmented(scene):
+            plant.warm_up()
     return plant

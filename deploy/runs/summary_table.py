@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _STYLES = {"ok": "bold green", "interrupted": "bold yellow"}
 _MANY = 12
 """Parcels listed one by one; of more, the table says how many are in each state."""
+_NARROW = 60
+"""Width of a terminal, in characters, from which a parcel's numbers fit beside each other."""
 _FAULTS = 4
 """Faults named one by one."""
 _NOTHING = 1e-12
@@ -46,7 +48,8 @@ def print_summary(summary: Summary, console: Console) -> None:
         console.print(_facts(report_lines(summary.protocol)))
     if 0 < len(summary.parcels) <= _MANY:
         console.print()
-        console.print(_parcels(summary.parcels))
+        narrow = console.width < _NARROW
+        console.print(_facts(_parcel_lines(summary.parcels)) if narrow else _parcels(summary.parcels))
 
 
 def _facts(lines: Iterable[tuple[str, str]]) -> Table:
@@ -63,7 +66,10 @@ def _facts(lines: Iterable[tuple[str, str]]) -> Table:
 def _lines(summary: Summary) -> list[tuple[str, str]]:
     """Return name and text of each line of the summary."""
     lines = [
-        ("simulated", f"{summary.simulated_s:g} of {summary.duration_s:g} s in {summary.ticks:,} ticks"),
+        (
+            "simulated",
+            f"{summary.simulated_s:g} of {summary.duration_s:g} s in {plural(summary.ticks, 'tick')}",
+        ),
         ("wall time", _wall(summary)),
         ("cells", _cells(summary)),
         *_firmware(summary),
@@ -125,7 +131,12 @@ def _firmware(summary: Summary) -> list[tuple[str, str]]:
     if summary.firmware is None:
         return []
     name, form, size = (summary.firmware[key] for key in ("name", "form", "message_bytes"))
-    return [("firmware", f"{name}, {form}; " + (f"messages of {size} bytes" if size else "no messages"))]
+    return [
+        (
+            "firmware",
+            f"{name}, {form}; " + (f"messages of {plural(int(size), 'byte')}" if size else "no messages"),
+        )
+    ]
 
 
 def _solver(summary: Summary) -> str:
@@ -222,6 +233,15 @@ def _parcels(parcels: Sequence[ParcelOutcome]) -> Table:
         x, y = parcel.position_m
         table.add_row(str(index), f"{x:.6f}", f"{y:.6f}", f"{parcel.angle_rad:.6f}", _state(parcel))
     return table
+
+
+def _parcel_lines(parcels: Sequence[ParcelOutcome]) -> Iterator[tuple[str, str]]:
+    for index, parcel in enumerate(parcels):
+        x, y = parcel.position_m
+        yield (
+            f"parcel {index}",
+            f"x {x:.6f} m, y {y:.6f} m, angle {parcel.angle_rad:.6f} rad; {_state(parcel)}",
+        )
 
 
 def _state(parcel: ParcelOutcome) -> str:

@@ -142,7 +142,8 @@ def _problem(detail: ErrorDetails, data: Any) -> Problem:
     kind = detail["type"]
     context = detail.get("ctx", {})
     if kind == CROSS:
-        return Problem(detail["loc"], context["rule"], detail["input"])
+        value = detail["input"]  # TOML has no null: None stands for a key that is not there
+        return Problem(detail["loc"], context["rule"], ABSENT if value is None else value)
     path = _path_in(data, detail["loc"], missing=kind == "missing")
     value: Any = detail["input"]
     if kind == "missing":

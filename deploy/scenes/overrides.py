@@ -16,6 +16,8 @@ from deploy.util.formatting import plural
 
 _BARE_WORD = re.compile(r"[A-Za-z_./~][\w./:~+-]*")
 _KEY = re.compile(r"[\w-]+")
+_ITEM = re.compile(r"\[(\d+)\]")
+"""Number of a list item as errors write it: ``parcels[0]``."""
 
 
 @final
@@ -39,6 +41,7 @@ class Override:
 
         The value is TOML. What is not TOML but looks like a bare word (``heat_diffusion``, ``brake``,
         ``my.module:Class``, ``./cell.py``) is that string, so that names need no quotes inside quotes.
+        The number of a list item may stand in brackets: ``parcels[0].mass_kg``.
 
         Args:
             text: The key and the value.
@@ -51,7 +54,7 @@ class Override:
         key, equals, value = text.partition("=")
         if not equals:
             raise InputError(f"{option}: must be KEY=VALUE")
-        parts = [part.strip() for part in key.split(".")]
+        parts = [part.strip() for part in _ITEM.sub(r".\1", key).split(".")]
         if not all(_KEY.fullmatch(part) for part in parts):
             raise InputError(
                 f"{option}: the key must be names and numbers with dots between them, as parcels.0.mass_kg"

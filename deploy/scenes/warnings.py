@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 
+from cell_firmware.errors import dotted
+
 if TYPE_CHECKING:
+    from deploy.scenes.errors import KeyPath
     from deploy.scenes.scene import Scene
     from plant.parcel_spec import PolygonSpec
 
@@ -37,7 +40,8 @@ def _degrees(scene: Scene) -> Iterator[str]:
         "effects": scene.effects.model_dump(),
         "cells.parameters": scene.cells.parameters,
     }
-    for key, value in _leaves(parts):
+    for path, value in _leaves(parts):
+        key = dotted(path)
         if key.endswith("_rad") and isinstance(value, int | float) and abs(value) > math.tau:
             yield (
                 f"{key} = {value:g}: more than a turn, and angles are in radians: {value:g} degrees are "
@@ -45,17 +49,17 @@ def _degrees(scene: Scene) -> Iterator[str]:
             )
 
 
-def _leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
+def _leaves(value: object, path: KeyPath = ()) -> Iterator[tuple[KeyPath, object]]:
     """Yield the path and value of everything in nested tables and lists."""
     if isinstance(value, Mapping):
-        inside = list(cast("Mapping[object, object]", value).items())
+        inside: list[tuple[str | int, object]] = [*cast("Mapping[str, object]", value).items()]
     elif isinstance(value, list | tuple):
-        inside = list(enumerate(cast("Sequence[object]", value)))
+        inside = [*enumerate(cast("Sequence[object]", value))]
     else:
         yield path, value
         return
     for key, item in inside:
-        yield from _leaves(item, f"{path}.{key}" if path else str(key))
+        yield from _leaves(item, (*path, key))
 
 
 def _large_parcels(scene: Scene) -> Iterator[str]:
@@ -64,10 +68,10 @@ def _large_parcels(scene: Scene) -> Iterator[str]:
     array = [scene.array.pitch_m * (int(np.ptp(index)) + 1) for index in (lattice.columns, lattice.rows)]
     feeders = scene.effects.feeders
     named: list[tuple[str, PolygonSpec]] = [
-        (f"parcels.{number}", parcel) for number, parcel in enumerate(scene.parcels)
+        (f"parcels[{number}]", parcel) for number, parcel in enumerate(scene.parcels)
     ]
     named += [
-        (f"effects.feeders.feed.{number}", feed)
+        (f"effects.feeders.feed[{number}]", feed)
         for number, feed in enumerate(() if feeders is None else feeders.feed)
     ]
     for key, spec in named:
@@ -92,5 +96,5 @@ def _late_faults(scene: Scene) -> Iterator[str]:
         if scene.tick_at(fault.at_s) >= scene.ticks
     ]
     if late:
-        listed = ", ".join(f"faults.{number}.at_s = {at_s:g}" for number, at_s in late)
+        listed = ", ".join(f"faults[{number}].at_s = {at_s:g}" for number, at_s in late)
         yield f"{listed}: after the end of the run (duration_s = {scene.duration_s:g}): never active"

@@ -142,7 +142,7 @@ def _layout_text(roles: dict[str, tuple[tuple[int, int], ...]], wire: str) -> st
     """Describe the layout of cells in processes."""
     processes = [cells for role, cells in roles.items() if role not in (PLANT, OPERATOR)]
     cells = sum(map(len, processes))
-    return f"{cells:,} cells in {plural(len(processes), 'process', 'processes')}, wire form {wire}"
+    return f"{cells:,} cells in {plural(len(processes), 'process', 'processes')}, wire format {wire}"
 
 
 def _check(identity: Identity, role: str) -> None:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self, final
 
+from deploy.util.formatting import plural
+
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
@@ -97,8 +99,8 @@ class Progress(Display):
             self._write(line)
 
     def _facts(self, rate: float) -> str:
-        lost = f"  {self.lost:,} cells lost" if self.lost else ""
-        return f"{rate:,.0f} ticks/s  {self.events:,} events{lost}"
+        lost = f"  {plural(self.lost, 'cell')} lost" if self.lost else ""
+        return f"{rate:,.0f} ticks/s  {plural(self.events, 'event')}{lost}"
 
     def _redraw(self, time_ns: int, rate: float) -> None:
         assert self._bar is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import threading
+from collections.abc import Sequence
 from typing import Protocol, final
 
 from bus.transports.base import Endpoint
@@ -78,11 +79,12 @@ class WorkerProcesses:
 
     Args:
         plan: Plan of the run.
+        kernels: Modules of kernels that the cells use.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, kernels: Sequence[str] = ()) -> None:
         self._names = [process.name for process in plan.processes if process.role == "cells"]
-        self._crew = WorkerPool(PRELOAD)
+        self._crew = WorkerPool((*PRELOAD, *kernels))
 
     def start(self, order: WorkerConfig) -> None:
         """Fork the workers."""

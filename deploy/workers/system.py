@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Self, final
 from bus.errors import BusError
 from deploy.workers.groups import WorkerGroup, WorkerProcesses, WorkerThread
 from deploy.workers.plan import Plan, RunOptions, host_of, loopback_address
-from deploy.workers.worker import ResumePoint, WorkerConfig, cell_faults, make_controller, open_session
+from deploy.workers.worker import (
+    ResumePoint,
+    WorkerConfig,
+    cell_faults,
+    kernels_of,
+    make_controller,
+    open_session,
+)
 
 if TYPE_CHECKING:
     from bus.lockstep import Coordinator, MessageCounters
@@ -74,7 +81,7 @@ class System:
         self._running = False
         self._stopped = False
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
-        self._processes = WorkerProcesses(plan) if plan.workers else None
+        self._processes = WorkerProcesses(plan, kernels_of(scene)) if plan.workers else None
 
     def __enter__(self) -> Self:
         return self

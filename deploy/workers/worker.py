@@ -252,6 +252,13 @@ def make_controller(
     )
 
 
+def kernels_of(scene: Scene) -> tuple[str, ...]:
+    """Return the modules of compiled kernels that a scene's cells use, without importing them."""
+    from cell_firmware.build import kernel_modules
+
+    return kernel_modules(make_controller(scene, cell_faults(scene), metered=True), scene.effects)
+
+
 def cell_faults(scene: Scene) -> CellFaults | None:
     """Return the faults of a scene that act in the cells; None without such faults."""
     injected = of_cells(in_run_faults(scene))

@@ -14,6 +14,7 @@ SCRATCH = {
     ("CounterStream", "_state"): "likewise",
     ("PlantProcess", "_coordinator"): "the cells are looked at by themselves",
     ("PlantProcess", "hooks"): "they belong to whoever runs it",
+    ("CompiledController", "_bound"): "the memory of the shard's state, where that was stepped before",
     ("Spots", "_parcels"): "states are put in before they are looked at",
 }
 """Attributes that may differ, and why."""

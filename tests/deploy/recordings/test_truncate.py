@@ -78,7 +78,7 @@ def test_it_goes_on_without_a_tick_missing_or_doubled(tmp_path: Path, torn: bool
 def test_a_recording_that_lacks_the_prefix_is_refused_and_stays(tmp_path: Path) -> None:
     _recorded(tmp_path)
     before = (tmp_path / FILE_NAME).read_bytes()
-    with pytest.raises(InputError, match="2 messages of /tick, 1 messages of /faults are missing"):
+    with pytest.raises(InputError, match="2 messages of /tick, 1 message of /faults are missing"):
         Recorder(tmp_path, HEADER, continued_from={TICK: 8, FAULTS: 2})
     assert (tmp_path / FILE_NAME).read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]

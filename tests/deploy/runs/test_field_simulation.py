@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from deploy.cli import main
 from deploy.errors import InputError
+from deploy.recordings.digest import Digest
 from deploy.runs.field_simulation import field_speeds, simulate, without_cells
 from deploy.runs.run import run
 from deploy.scenes.fault_schedule import active
@@ -164,6 +169,22 @@ def test_faults_of_the_cells_are_left_out_and_that_is_said(
     assert "faults[0]" not in said
     assert [fault["kind"] for fault in summary.faults] == ["wheel_stuck"]
     assert active(_scene("elliptic", faults=[hangs])) is None
+
+
+def test_the_digest_is_taken_while_the_simulation_can_be_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Interrupting(Digest):
+        def tick(self, tick: int, *values: NDArray[Any]) -> None:
+            super().tick(tick, *values)
+            if tick == 5:
+                os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("deploy.runs.field_simulation.Digest", Interrupting)
+    scene = _scene("elliptic", duration_s=100.0)
+    summary = simulate(scene, output=tmp_path, picture=False, quiet=True).summary
+    assert summary.status == "interrupted"
+    assert 0.0 < summary.simulated_s < 50.0
 
 
 def test_the_same_simulation_has_the_same_digest(tmp_path: Path) -> None:

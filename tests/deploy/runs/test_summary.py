@@ -111,9 +111,18 @@ def test_a_summary_that_can_t_be_written_is_named_with_the_cause(tmp_path: Path)
 def test_the_table_says_what_the_cells_ran() -> None:
     heat = {"name": "heat_diffusion", "form": "on arrays", "message_bytes": 16}
     assert "heat_diffusion, on arrays; messages of 16 bytes" in printed(summary(firmware=heat))
+    assert "messages of 1 byte " in printed(summary(firmware=heat | {"message_bytes": 1}))
     quiet = {"name": "turn.py", "form": "cell by cell", "message_bytes": 0}
     assert "turn.py, cell by cell; no messages" in printed(summary(firmware=quiet))
     assert "firmware" not in printed(summary())
+
+
+def test_a_narrow_terminal_gets_a_parcel_s_numbers_in_full() -> None:
+    parcels = [ParcelOutcome.of(np.array([0.5, -0.25, 1.0, 0, 0, 0]), "at_rest", 7.5)]
+    text = printed(summary(parcels=parcels), width=40)
+    assert max(map(len, text.splitlines())) <= 40
+    expected = "parcel 0 x 0.500000 m, y -0.250000 m, angle 1.000000 rad; at rest since 7.5000 s"
+    assert expected in " ".join(text.split())
 
 
 def test_the_table_names_lost_cells_faults_and_lost_messages() -> None:

@@ -183,7 +183,7 @@ def test_the_scene_these_tests_break_is_good() -> None:
         (
             "seed = 1",
             "seed = 1\n[effects.encoder]",
-            "effects.motors = None: must be set too: effects.encoder needs it",
+            "effects.motors: must be set too: effects.encoder needs it",
         ),
         (
             "seed = 1",
@@ -246,6 +246,16 @@ def test_the_scene_these_tests_break_is_good() -> None:
 def test_a_wrong_value_is_named_with_its_path_value_and_rule(old: str, new: str, line: str) -> None:
     assert GOOD.count(old) >= 1
     assert refused(GOOD.replace(old, new, 1)) == [f"scene x.toml: {line}"]
+
+
+def test_effects_that_exclude_each_other_are_named() -> None:
+    effects = (
+        "[effects]\nroller_impacts = { spacing_m = 0.01, impulse_s = 0.001 }\n"
+        "load_transfer = { centre_of_mass_height_m = 0.1 }"
+    )
+    assert "scene x.toml: effects.load_transfer: doesn't go with effects.roller_impacts" in refused(
+        GOOD.replace("seed = 1", f"seed = 1\n{effects}", 1)
+    )
 
 
 def test_a_union_kind_nested_in_a_sum_is_found_at_its_place() -> None:

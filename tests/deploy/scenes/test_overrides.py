@@ -50,6 +50,11 @@ def test_a_value_is_toml_or_a_bare_word_or_refused(text: str, value: Any) -> Non
         assert Override.parse(f"key={text}").value == value
 
 
+def test_a_list_item_may_be_numbered_as_errors_number_it() -> None:
+    assert overridden("parcels[1].mass_kg=3.5")["parcels"] == [{"mass_kg": 1.0}, {"mass_kg": 3.5}]
+    assert overridden("a[0][0]=1")["a"] == [[1]]
+
+
 @given(
     st.recursive(
         st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False),
@@ -67,7 +72,9 @@ def test_spaces_around_key_and_value_do_not_matter() -> None:
     assert (override.path, override.value) == (("array", "rows"), 3)
 
 
-@pytest.mark.parametrize("text", ["seed", "=1", ".seed=1", "a..b=1", "a b=1", "parcels[0]=1", ""])
+@pytest.mark.parametrize(
+    "text", ["seed", "=1", ".seed=1", "a..b=1", "a b=1", "parcels[0=1", "[0]=1", "parcels[-1]=1", ""]
+)
 def test_a_malformed_option_is_refused_by_name(text: str) -> None:
     with pytest.raises(InputError, match=r"^--set .*: (must be KEY=VALUE|the key must be)"):
         Override.parse(text)

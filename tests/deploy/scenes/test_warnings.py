@@ -28,14 +28,14 @@ def test_no_bundled_scene_has_warnings() -> None:
 @pytest.mark.parametrize(
     ("scene", "change", "warning"),
     [
-        ("elliptic", "parcels.0.angle_rad=90", "parcels.0.angle_rad = 90: more than a turn, and angles are in radians"),
+        ("elliptic", "parcels.0.angle_rad=90", "parcels[0].angle_rad = 90: more than a turn, and angles are in "),
         ("align", "cells.parameters.angle_rad=-45", "cells.parameters.angle_rad = -45: more than a turn, "),
-        ("elliptic", "parcels.0.size_m=[0.5, 2.5]", "parcels.0: 0.5 × 2.5 m, larger than the array, which is 2 × 2 m"),
+        ("elliptic", "parcels.0.size_m=[0.5, 2.5]", "parcels[0]: 0.5 × 2.5 m, larger than the array, which is 2 × 2 m"),
         ("elliptic", "parcels.0={ vertices_m = [[-3, 0], [3, 0], [0, 1]], mass_kg = 1.0, position_m = [0, 0] }",
-         "parcels.0: 6 × 1 m, larger than the array, which is 2 × 2 m"),
-        ("stream", "effects.feeders.feed.0.size_m=[9.0, 0.1]", "effects.feeders.feed.0: 9 × 0.1 m, larger than"),
+         "parcels[0]: 6 × 1 m, larger than the array, which is 2 × 2 m"),
+        ("stream", "effects.feeders.feed.0.size_m=[9.0, 0.1]", "effects.feeders.feed[0]: 9 × 0.1 m, larger than"),
         ("elliptic", "faults=[{ at_s = 1, cell = [0, 0] }, { at_s = 10, cell = [1, 1] }, { at_s = 12, cell = [2, 2] }]",
-         "faults.1.at_s = 10, faults.2.at_s = 12: after the end of the run (duration_s = 10): never active"),
+         "faults[1].at_s = 10, faults[2].at_s = 12: after the end of the run (duration_s = 10): never active"),
         ("elliptic", "cells.period_s=4.096", "cells.period_s = 4.096: a control period of seconds; an "),
         ("elliptic", "duration_s=0.004", "duration_s = 0.004: the run is over after one tick, which takes 0.004096 s"),
     ],
@@ -77,7 +77,7 @@ def test_a_campaign_reports_each_warning_once(
     monkeypatch.setattr(Campaign, "run", enough)
     arguments = ("elliptic", "--fault", "crash", "--share", "0,0.1", "--set", "parcels.0.angle_rad=90")
     assert main(["campaign", *arguments, "--output", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.count("mdms: warning: parcels.0.angle_rad = 90: ") == 1
+    assert capsys.readouterr().err.count("mdms: warning: parcels[0].angle_rad = 90: ") == 1
 
 
 def _nothing(*_: object, **__: object) -> None:
@@ -108,5 +108,5 @@ def test_every_command_that_takes_a_scene_prints_its_warnings_once(
     name, *more = command
     settings = ["--set", "parcels.0.angle_rad=90", "--set", "duration_s=0.02"]
     assert main([name, "elliptic", *settings, *more]) == (2 if name == "accuracy" else 0)
-    line = "mdms: warning: parcels.0.angle_rad = 90: more than a turn"
+    line = "mdms: warning: parcels[0].angle_rad = 90: more than a turn"
     assert capsys.readouterr().err.count(line) == 1

@@ -115,6 +115,7 @@ def test_a_folder_that_was_taken_for_a_stale_one_as_it_was_made_is_made_again(
     assert list(where.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_killed_run_s_folder_goes_with_the_next_run(where: Path, tmp_path: Path) -> None:
     scene = tmp_path / "small.toml"
     scene.write_text(small_scene())
