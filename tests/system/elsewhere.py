@@ -47,7 +47,7 @@ def plant(folder: Path, scene: str, join: str) -> None:
     from deploy.workers import system
     from deploy.workers.plan import RunOptions
 
-    system.WorkerProcesses = lambda plan: Elsewhere(folder)  # type: ignore[assignment,misc]
+    system.WorkerProcesses = lambda *_: Elsewhere(folder)  # type: ignore[assignment,misc]
     options = RunOptions("each", join=join, output=folder / "out", picture=False, insecure=True)
     outcome = run(load_scene(scene), options, quiet=True)
     print(outcome.summary.to_json())

@@ -142,7 +142,7 @@ def test_an_interrupted_run_leaves_no_temporary_files(
 
 @pytest.mark.parametrize("after_s", [0.4, 0.8])
 def test_a_signal_ends_a_simulation_with_130(after_s: float, mdms: Start) -> None:
-    running = mdms("simulate", "elliptic", "--duration", "1000000")
+    running = mdms("simulate", "elliptic", "--duration", "20000")
     time.sleep(after_s)
     running.process.send_signal(signal.SIGTERM)
     assert running.end()[0] in (130, -signal.SIGTERM)

@@ -12,7 +12,7 @@ import pytest
 
 from tests.system.schedules import Schedule, carry_out
 
-QUICK, SLOW, NIGHTLY = 4, 20, 200
+QUICK, SLOW, NIGHTLY = 1, 12, 200
 """Schedules of each tier, the quicker tiers' included."""
 
 

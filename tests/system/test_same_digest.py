@@ -159,10 +159,8 @@ def test_the_digest_depends_on_what_happens(tmp_path: Path) -> None:
     assert _run(scene, WAYS[0], tmp_path).digest != _run(other, WAYS[0], tmp_path).digest
 
 
-@pytest.mark.parametrize(
-    "policy",
-    ["hold", pytest.param("coast", marks=pytest.mark.slow), pytest.param("brake", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["hold", "coast", "brake"])
 def test_scheduled_crashes_act_alike_in_shared_workers_and_in_processes_of_their_own(
     policy: str, small: Callable[[str], Path], tmp_path: Path
 ) -> None:
