@@ -212,6 +212,7 @@ def test_every_recipe_has_files_a_command_and_tests_to_extend() -> None:
         assert steps == [str(k + 1) for k in range(len(steps))], name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECIPES)
 def test_a_recipe_leads_to_what_the_page_says(name: str, tmp_path: Path) -> None:
     folder = copied(tmp_path)
@@ -237,6 +238,7 @@ def everything(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_additions_keep_the_import_contracts_and_the_style(everything: Path) -> None:
     contracts = in_copy(
         everything, "-c", "from importlinter.cli import lint_imports_command as c; c()", "--no-cache"

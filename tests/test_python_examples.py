@@ -40,6 +40,7 @@ def test_there_are_ten_examples() -> None:
     assert PAGE.count("```python") == 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("title", EXAMPLES)
 def test_an_example_runs_as_it_stands(title: str, tmp_path: Path) -> None:
     done = _python(EXAMPLES[title], tmp_path)

@@ -40,6 +40,9 @@ SCRIPTS: dict[str, Smoke] = {
         "--case 0 --sessions 1 --repeat 2", rf"1 worker, packed +{N} +{N} +{N} +{N} +{N}"
     ),
     "cells/board_cost.py": Smoke("--cells 18 --turns 1 --budget 0.02", rf"mux +{N} \({N}-{N}\)"),
+    "cells/compiled_step.py": Smoke(
+        "--cells 18 --turns 1 --budget 0.02", rf"behavioural +18 +{N} +{N} +{N} +{N} +{N}"
+    ),
     "cells/shard_against_cells.py": Smoke("--side 50 --turns 1", rf"arrays are {N} times as fast"),
     "cells/wheel_drive.py": Smoke("", rf"ripple, 256 levels: {N} m/s"),
     "deploy/campaign_cost.py": Smoke(
@@ -49,6 +52,8 @@ SCRIPTS: dict[str, Smoke] = {
     "deploy/checkpoint_cost.py": Smoke(
         "--repeats 1 --every 0.1 --quick", rf"18 +{N} +{N} +{N} +{N} +{N} +{N}"
     ),
+    "deploy/cell_memory.py": Smoke("--scene motors --rows 3 --columns 6 --ticks 2", rf"median {N} MB"),
+    "deploy/first_run.py": Smoke("--repeat 1", r"digests: all the same"),
     "deploy/kill_the_plant.py": Smoke("--instants 1 --duration 1", r"1 kills, .*: [0-9a-f]{64}"),
     "deploy/planted_faults.py": Smoke("--programs 2", rf"2 programs in {N} s; 0 with"),
     "deploy/process_faults.py": Smoke("--schedules 1", rf"1 schedules in {N} s: .* 0 with"),

@@ -1,6 +1,6 @@
-"""What a tick costs where every cell has a process of its own, by wire form.
+"""What a tick costs where every cell has a process of its own, by wire format.
 
-``python tests/benchmarks/deploy/processes_each.py`` runs a scene with real cells in each wire form and prints its
+``python tests/benchmarks/deploy/processes_each.py`` runs a scene with real cells in each wire format and prints its
 method.
 """
 
@@ -31,7 +31,7 @@ from deploy.scenes.overrides import Override
 
 METHOD = """\
 Method. The scene {scene} with {processes} processes of cells, which compute what they compute in mdms run, in every
-wire form at the same time; the runs take turns of {ticks} ticks, each first in as many rounds, so that what else the
+wire format at the same time; the runs take turns of {ticks} ticks, each first in as many rounds, so that what else the
 machine does meets all alike. "us a tick" is processor time of all threads (schedstat) in a form's turns: of all
 processes, of a process of cells, and of the plant's process. The ratios are medians over {turns} rounds, to per_cell in
 the same round. The tests compare the digests.

@@ -1,0 +1,75 @@
+"""Memory of processes of one cell each, and how long it takes until all are ready.
+
+``python tests/benchmarks/deploy/cell_memory.py`` starts ``heat`` with a process per cell and prints both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import statistics
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+# the server that forks the workers knows no other way to find their modules
+os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
+
+from deploy.runs.backends import Workers
+from deploy.runs.simulation import Simulation
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+
+METHOD = """\
+Method. The scene {scene} with {rows} x {columns} cells, a process for each. Ready: until the first tick is over,
+kernels loaded from disk. Then {ticks} ticks. PSS: of each process of cells (/proc/PID/smaps_rollup), shared pages
+divided by those that share them."""
+
+HEAVY = ("numba", "scipy", "matplotlib", "typer", "rich", "pydantic_core")
+"""Libraries that no process of cells needs, looked for among its mapped files: those of Python alone are missed."""
+
+
+def _descendants(pid: int) -> Iterator[int]:
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        for child in map(int, (task / "children").read_text().split()):
+            yield child
+            yield from _descendants(child)
+
+
+def _pss_mb(pid: int) -> float:
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    found = re.search(r"^Pss:\s+(\d+) kB", text, re.MULTILINE)
+    assert found is not None
+    return int(found[1]) / 1024
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", default="heat")
+    parser.add_argument("--rows", type=int, default=13)
+    parser.add_argument("--columns", type=int, default=20)
+    parser.add_argument("--ticks", type=int, default=20)
+    given = parser.parse_args()
+    print(METHOD.format(**vars(given)))
+    sizes = [Override(("array", name), getattr(given, name), f"--{name}") for name in ("rows", "columns")]
+    scene = load_scene(given.scene, [*sizes, Override(("duration_s",), 1e4, "--duration")])
+    begun = time.perf_counter()
+    with Simulation.open(scene, Workers("each")) as simulation:
+        simulation.step()
+        ready = time.perf_counter() - begun
+        for _ in range(given.ticks):
+            simulation.step()
+        pids = list(_descendants(os.getpid()))
+        pss = sorted(map(_pss_mb, pids))
+        mapped = Path(f"/proc/{pids[-1]}/maps").read_text()
+    print(f"ready after {ready:.1f} s, load {os.getloadavg()[0]:.1f} by then")
+    print(f"PSS of {len(pids)} processes: median {statistics.median(pss):.1f} MB, largest {pss[-1]:.1f} MB")
+    heavy = [name for name in HEAVY if f"/{name}/" in mapped]
+    print(f"mapped libraries that cells don't need: {', '.join(heavy) or 'none'}")
+
+
+if __name__ == "__main__":
+    main()
