@@ -34,10 +34,10 @@ def collected(*arguments: str) -> list[str]:
 @pytest.mark.parametrize(
     ("arguments", "schedules", "policies", "compared"),
     [
-        ((), QUICK, 1, []),
-        (("-m", "slow"), SLOW - QUICK, 2, ["-".join(COMPARED)]),
+        ((), QUICK, 0, []),
+        (("-m", "slow"), SLOW - QUICK, 3, ["-".join(COMPARED)]),
         (("--nightly",), NIGHTLY, 3, ["-".join(SOLVERS)]),
-        (("--nightly", "-m", "slow"), NIGHTLY - QUICK, 2, ["-".join(SOLVERS)]),
+        (("--nightly", "-m", "slow"), NIGHTLY - QUICK, 3, ["-".join(SOLVERS)]),
     ],
 )
 def test_each_tier_has_its_schedules_policies_and_solvers(
