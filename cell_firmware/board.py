@@ -26,6 +26,7 @@ from cell_firmware.firmware import (
     draft_of,
     drafting,
 )
+from cell_firmware.scalar import ScalarFirmware
 
 PROGRAM = "firmware"
 WHEELS = "speed_loop"
@@ -36,6 +37,14 @@ METER = "messages"
 def has_hardware(controller: Controller) -> bool:
     """Whether a controller has a clock, a watchdog, speed loops or lines, beside the program and counters."""
     return not isinstance(controller, Board) or controller.wheels is not None or controller.links is not None
+
+
+def has_kernels(controller: Controller) -> bool:
+    """Whether there is something to compile: hardware, or a program in scalar form that exchanges messages."""
+    if has_hardware(controller):
+        return True
+    assert isinstance(controller, Board), "this is a bug: no hardware, and no board"
+    return isinstance(controller.firmware, ScalarFirmware) and controller.firmware.message is not None
 
 
 class _BadOutput(Exception):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from cell_firmware.board import Board, has_hardware
+from cell_firmware.board import Board, has_hardware, has_kernels
 from cell_firmware.components import LinkDriver, MessageCounter, WheelDriver
 from cell_firmware.controller import Controller, ControllerWrapper
 from cell_firmware.effects.registry import CellEffects
@@ -133,7 +133,7 @@ def kernel_modules(controller: Controller, effects: CellEffects) -> tuple[str, .
     if isinstance(inside, Board):
         if has_hardware(controller):
             modules.append("cell_firmware.kernels.board")
-        if inside.firmware.kernels:
+        if inside.firmware.kernels and has_kernels(controller):
             modules.append(inside.firmware.kernels)
     if effects.sensor is not None and effects.sensor.debounce_ticks > 1:
         modules.append("cell_firmware.kernels.debounce")

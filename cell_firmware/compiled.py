@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.wire.frames import check_message
-from cell_firmware.board import LINKS, METER, PROGRAM, WHEELS, Board, has_hardware
+from cell_firmware.board import LINKS, METER, PROGRAM, WHEELS, Board, has_kernels
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime
 from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 from cell_firmware.effects.cop.wrapper import DIVIDER_NS, WatchdogWrapper
-from cell_firmware.firmware import Bools, Cells, Inbox, Inputs, Messages, Outbox, State
+from cell_firmware.firmware import Bools, Cells, Firmware, Inbox, Inputs, Messages, Outbox, State
 from cell_firmware.kernels import board as kernels
 from cell_firmware.kernels.arguments import message_bytes, readable
+from cell_firmware.kernels.cell import BOARD
+from cell_firmware.kernels.cell import METER as METER_RECORD
 from cell_firmware.kernels.clock import CLOCK
 from cell_firmware.kernels.lines import LINE, LINES
 from cell_firmware.kernels.speed_loop import LOOP
@@ -31,7 +33,7 @@ _NAMES: Final = {"overwritten": "replaced"}
 
 def compiled(controller: Controller) -> Controller:
     """Return the compiled form of a controller; the controller itself if there is none, or nothing to compile."""
-    if not has_hardware(controller):
+    if not has_kernels(controller):
         return controller
     inside, clock, watchdog = controller, None, None
     if isinstance(inside, LocalClockWrapper):
@@ -50,7 +52,7 @@ def compiled(controller: Controller) -> Controller:
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Hardware:
+class Hardware:
     """State of the boards of n cells, as the kernels have it: a record a cell of each part, and messages as bytes.
 
     Attributes:
@@ -98,14 +100,14 @@ class CompiledController(Controller):
         self._program = Board(board.firmware)
         self._message, self._line = board.firmware.message, board.link_type
         self._slots = 0
-        self._constants = self._described(board, clock, watchdog)
-        self._bound: _Hardware | None = None
+        self.constants = self._described(board, clock, watchdog)
+        self._bound: Hardware | None = None
 
     def _described(
         self, board: Board, clock: LocalClockWrapper | None, watchdog: WatchdogWrapper | None
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Return the records of constants: of the board, of its links, and of its speed loop."""
-        boards = np.zeros(1, dtype=kernels.BOARD)
+        boards = np.zeros(1, dtype=BOARD)
         boards["meter"] = board.meter is not None
         boards["lines"] = board.links is not None
         boards["wheels"] = board.wheels is not None
@@ -147,6 +149,16 @@ class CompiledController(Controller):
         """False: a step changes the state in place."""
         return False
 
+    @property
+    def hangs(self) -> bool:
+        """Whether a cell whose program fails hangs, to be reset by its watchdog."""
+        return self._watched
+
+    @property
+    def firmware(self) -> Firmware:
+        """The cells' program."""
+        return self._board.firmware
+
     def init(self, cells: Cells) -> ControllerState:
         """The state before tick 0, as the general controller's."""
         return self._general.init(cells)
@@ -169,9 +181,9 @@ class CompiledController(Controller):
             state: Of n cells; its boards' memory is changed in place.
             inputs: Of these cells, with what the lines carry.
         """
-        state, hardware = self._owned(state)
+        state, hardware = self.own(state)
         n, cells = len(state.cells), state.cells
-        boards, links, loops = self._constants
+        boards, links, loops = self.constants
         at_ns, runs, reset = (
             np.empty(n, dtype=np.int64),
             np.empty(n, dtype=np.bool_),
@@ -230,7 +242,7 @@ class CompiledController(Controller):
         programs = programs.replace_rows(rows, ControllerState(fresh.cells, {PROGRAM: fresh.parts[PROGRAM]}))
         return ControllerState(state.cells, {**state.parts, **programs.parts})
 
-    def _owned(self, state: ControllerState) -> tuple[ControllerState, _Hardware]:
+    def own(self, state: ControllerState) -> tuple[ControllerState, Hardware]:
         """Return the state with its boards in records; in those of the last step, if it comes from there."""
         bound = self._bound
         if bound is None or any(state.parts[name] is not part for name, part in bound.parts.items()):
@@ -243,7 +255,7 @@ class CompiledController(Controller):
             state = ControllerState(state.cells, {**state.parts, **bound.parts})
         return state, bound
 
-    def _hardware(self, state: ControllerState) -> _Hardware:
+    def _hardware(self, state: ControllerState) -> Hardware:
         """Copy the boards of a state into records."""
         n, parts = len(state.cells), dict[str, dict[str, NDArray[Any]]]()
 
@@ -274,11 +286,11 @@ class CompiledController(Controller):
             parts[LINKS][at_ns], parts[LINKS][message] = cells["there_ns"][:, slot], there[:, slot]
             for array in (at_ns, message):
                 parts[LINKS][array][...] = state.parts[LINKS][array]
-        meters = records(METER, kernels.METER)
+        meters = records(METER, METER_RECORD)
         if len(meters):
             meters["neighbours"] = state.cells.has_neighbour
         mailbox = messages("message")
-        return _Hardware(
+        return Hardware(
             parts,
             records(LocalClockWrapper.part, CLOCK),
             records(WatchdogWrapper.part, WATCHDOG),

@@ -14,11 +14,12 @@ from bus.errors import StateError
 from bus.partition import Partition
 from bus.sensors import CameraFrame, Labels
 from bus.state import StateFields
-from cell_firmware.board import has_hardware
+from cell_firmware.board import has_kernels
 from cell_firmware.controller import Controller, ControllerState, StepTime, read_only
 from cell_firmware.effects.base import InputFilter
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, State
+from cell_firmware.shard_links import Indices, ShardLinks
 from cell_firmware.specs import nanoseconds
 
 if TYPE_CHECKING:
@@ -26,8 +27,7 @@ if TYPE_CHECKING:
     from bus.lattice import Lattice
     from cell_firmware.effects.base import ShardContext
     from cell_firmware.faults.base import CellFault
-
-Indices = NDArray[np.int64]
+    from cell_firmware.shard_kernel import ShardKernel
 
 _EVERY: Final = slice(None)
 FAULTS: Final = "faults"
@@ -107,7 +107,6 @@ class Shard:
             partition.lattice.cells[int(i)] for i in self.indices.tolist()
         )
         self._n = len(self.indices)
-        self._controller = _compiled(controller)
         self._effects = effects or {}
         self._faults = {one.number: one for one in faults}
         self._stages = tuple(stage for stages in self._effects.values() for stage in stages)
@@ -121,17 +120,8 @@ class Shard:
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
         self._outgoing = np.zeros(self._n * 4, dtype=self._message or np.bool_)
 
-        # slot 4 row + side of the inbox receives from which slot of the outbox, or which link of the border
-        position = partition.position
-        inside, outgoing, incoming = (
-            partition.inside(shard),
-            partition.outgoing(shard),
-            partition.incoming(shard),
-        )
-        self._inner_from: Indices = 4 * position[inside.source] + inside.source_side
-        self._inner_to: Indices = 4 * position[inside.target] + inside.target_side
-        self._out_from: Indices = 4 * position[outgoing.source] + outgoing.source_side
-        self._in_to: Indices = 4 * position[incoming.target] + incoming.target_side
+        self._links = ShardLinks.of(partition, shard)
+        self._controller, self._kernel = _compiled(controller, self._links, self._stages, cells.sensors)
 
     @property
     def message(self) -> np.dtype[np.void] | None:
@@ -170,6 +160,10 @@ class Shard:
         if tick != self._tick + 1:
             raise FirmwareError(f"this is a bug: a shard was given tick {tick} after tick {self._tick}")
         self._tick = tick
+        if self._kernel is not None and level is None and label is None and camera is None:
+            outputs = self._step_by_kernel(self._kernel, presence, encoder_m, links)
+            if outputs is not None:
+                return outputs
         inputs = Inputs(presence, encoder_m, self._inbox(links), level, label, camera)
         for stage in self._stages:
             inputs = stage.apply(tick, inputs, _EVERY if self._active is None else self._active)
@@ -196,6 +190,27 @@ class Shard:
         self._drive = drive
         return ShardOutputs(drive, self.boundary_links, failures, hung)
 
+    def _step_by_kernel(
+        self, kernel: ShardKernel, presence: Bools, encoder_m: Floats | None, links: BoundaryMessages | None
+    ) -> ShardOutputs | None:
+        """Step all cells in one call; None if a watchdog resets a cell, and nothing was done."""
+        outbox = (self._sent, self._outgoing)
+        if not kernel.is_bound(self._state, self._active, outbox):
+            self._state = kernel.bind(self._state, self._active, outbox)
+        received = None if links is None else (links.sent, links.message)
+        done = kernel.step(self._tick, self._tick * self._period_ns, presence, encoder_m, received)
+        self._sent, self._outgoing = kernel.outbox
+        if done is None:
+            return None
+        self._drive = done.drive
+        border = None if self._message is None else BoundaryMessages(done.sent, done.message)
+        failures = tuple(done.failures[i] for i in sorted(done.failures))
+        if failures and kernel.hangs:
+            return ShardOutputs(done.drive, border, (), failures)
+        if failures:
+            self.retire(failure.cell for failure in failures)
+        return ShardOutputs(done.drive, border, failures)
+
     def _inbox(self, links: BoundaryMessages | None) -> Inbox | None:
         """Collect messages of the last tick, from inside the shard and over the border."""
         if self._message is None:
@@ -206,13 +221,14 @@ class Shard:
         message = np.zeros((self._n, 4), dtype=self._message)
         if links is None:
             links = _links(0, self._message)
-        elif links.sent.shape != self._in_to.shape or links.message.shape != self._in_to.shape:
+        elif links.sent.shape != self._links.in_to.shape or links.message.shape != self._links.in_to.shape:
             raise FirmwareError(
-                f"this is a bug: {links.message.shape} messages for {self._in_to.shape} incoming links"
+                f"this is a bug: {links.message.shape} messages for {self._links.in_to.shape} incoming links"
             )
         collect(
-            self._message.itemsize, self._sent, self._outgoing.view(np.uint8), self._inner_from, self._inner_to,
-            links.sent, links.message.view(np.uint8), self._in_to,
+            self._message.itemsize, self._sent, self._outgoing.view(np.uint8),
+            self._links.inner_from, self._links.inner_to,
+            links.sent, links.message.view(np.uint8), self._links.in_to,
             received.reshape(-1), message.reshape(-1).view(np.uint8),
         )  # fmt: skip
         return Inbox(received, message)
@@ -266,6 +282,7 @@ class Shard:
         from cell_firmware.faults.attach import attach_fault, init_new_wrappers
 
         self._controller = attach_fault(self._controller.general, lattice, site.seed, fault)
+        self._kernel = None
         drive = self._drive if self._active is None else self._drive[self._active]
         self._state = init_new_wrappers(self._controller, self._state, drive)
 
@@ -304,9 +321,9 @@ class Shard:
             return None
         from cell_firmware.kernels.messages import leave
 
-        links = _links(len(self._out_from), self._message)
+        links = _links(len(self._links.out_from), self._message)
         leave(
-            self._message.itemsize, self._sent, self._outgoing.view(np.uint8), self._out_from,
+            self._message.itemsize, self._sent, self._outgoing.view(np.uint8), self._links.out_from,
             links.sent, links.message.view(np.uint8),
         )  # fmt: skip
         return links
@@ -337,13 +354,23 @@ def _arrays(parts: Mapping[str, State]) -> dict[str, int]:
     return {f"{part}.{name}": len(array) for part, state in parts.items() for name, array in state.items()}
 
 
-def _compiled(controller: Controller) -> Controller:
-    """Return the compiled form of a controller, without loading kernels where there is nothing to compile."""
-    if not has_hardware(controller):
-        return controller
-    from cell_firmware.compiled import compiled
+def _compiled(
+    controller: Controller, links: ShardLinks, filters: Sequence[InputFilter], sensors: int
+) -> tuple[Controller, ShardKernel | None]:
+    """Return the compiled form of a controller, and the kernel of its shard's ticks; None without one.
 
-    return compiled(controller)
+    No kernels are loaded where there is nothing to compile.
+    """
+    if not has_kernels(controller):
+        return controller, None
+    from cell_firmware.compiled import CompiledController, compiled
+
+    controller = compiled(controller)
+    if not isinstance(controller, CompiledController):
+        return controller, None
+    from cell_firmware.shard_kernel import shard_kernel
+
+    return controller, shard_kernel(controller, links, filters, sensors)
 
 
 def _links(count: int, message: np.dtype[Any]) -> BoundaryMessages:

@@ -35,6 +35,8 @@ RETAINED = 8
 MADE_FOR = "made_for.json"
 """File beside the folders that came with a wheel, with the `surroundings` they were made in."""
 
+_COMPILER = Path(__file__).with_name("callee.py")
+
 TEXTS = "texts"
 """Subfolder with an empty file for each set of texts that the folder is the one for, named after their hash."""
 
@@ -107,11 +109,11 @@ class KernelCache:
         return digest.hexdigest()[:16]
 
     def _sources(self) -> list[tuple[str, bytes]]:
-        """Names and texts of all kernel files."""
-        return [
-            (path.relative_to(self.kernels).as_posix(), path.read_bytes())
-            for path in sorted(self.kernels.rglob("*.py"))
+        """Names and texts of all kernel files, and of the file that says how they are compiled."""
+        files = [
+            (path.relative_to(self.kernels).as_posix(), path) for path in sorted(self.kernels.rglob("*.py"))
         ]
+        return [(name, path.read_bytes()) for name, path in [*files, (_COMPILER.name, _COMPILER)]]
 
     def mismatch(self) -> str:
         """Return the difference that keeps a wheel's kernels from being used here; empty without one."""

@@ -82,7 +82,7 @@ class SensorSpec(CellEffectSpec):
         if self.false_positive or self.false_negative:
             yield _Errors(self, site)
         if self.debounce_ticks > 1:
-            yield _Debounce(self.debounce_ticks, site)
+            yield Debounce(self.debounce_ticks, site)
         if self.latency_ticks:
             yield _Latency(self.latency_ticks, site)
 
@@ -126,21 +126,30 @@ class _Errors(InputFilter):
 
 
 @final
-class _Debounce(InputFilter):
+class Debounce(InputFilter):
     """Debouncing: counts consecutive readings of each bit that differ from the accepted bit.
 
     A reading counts once: where cells have their own clocks, a cell may have no new reading in an exchange.
+
+    Args:
+        ticks: Readings in a row after which a change is accepted.
+        site: The shard's cells.
+
+    Attributes:
+        ticks: As given.
+        clocks: Period and window of the cells' clocks, ns, and errors and first instants, ``(n,)``; zeros and empty
+            arrays where all cells read in every exchange.
     """
 
     state_fields: ClassVar[StateFields] = StateFields("_believed", "_read")
 
     def __init__(self, ticks: int, site: ShardContext) -> None:
         super().__init__()
-        self._ticks = ticks
+        self.ticks = ticks
         clocks = site.clocks
-        self._clocks = (0, 0, _NOBODY, _NOBODY)
+        self.clocks = (0, 0, _NOBODY, _NOBODY)
         if clocks is not None:
-            self._clocks = (
+            self.clocks = (
                 clocks.period_ns,
                 clocks.window_ns,
                 readable(clocks.ppb),
@@ -151,13 +160,18 @@ class _Debounce(InputFilter):
         self._read = np.zeros(shape, dtype=np.int64)
         self.counters["bounces"] = 0
 
+    @property
+    def memory(self) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Accepted bits, and readings in a row that differ from them, ``(n, sensors)`` each; changed in place."""
+        return self._believed, self._read
+
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Hold each bit until its change has been read often enough."""
         from cell_firmware.kernels.debounce import debounce
 
         presence = np.empty_like(self._believed)
         self.counters["bounces"] += debounce(
-            self._ticks, tick - 1, *self._clocks, _NOBODY if isinstance(alive, slice) else alive,
+            self.ticks, tick - 1, *self.clocks, _NOBODY if isinstance(alive, slice) else alive,
             isinstance(alive, slice), readable(inputs.presence), self._believed, self._read, presence,
         )  # fmt: skip
         return inputs.with_presence(presence)

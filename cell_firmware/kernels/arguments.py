@@ -1,4 +1,4 @@
-"""Arguments of kernels: arrays in one piece, and messages as bytes or numbers."""
+"""Arguments of kernels: arrays in one piece, and messages as bytes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,3 @@ def readable(array: NDArray[Any]) -> NDArray[Any]:
 def message_bytes(messages: NDArray[Any]) -> NDArray[np.uint8]:
     """Return the bytes of messages in one piece, ``(..., size)``: the same memory."""
     return messages.view(np.uint8).reshape(*messages.shape, messages.dtype.itemsize)
-
-
-def numbers(messages: NDArray[Any], kind: str) -> NDArray[Any]:
-    """Return messages whose fields are all of one type as an array of that type, ``(..., fields)``."""
-    return readable(messages).view(kind).reshape(*messages.shape, -1)

@@ -1,37 +1,12 @@
-"""The control period of the boards of a shard's cells: what comes before the programs' steps, and what comes after.
-
-One set of kernels serves all scenes: records of constants say which parts a board has, and messages are bytes.
-"""
+"""The control period of the boards of a shard's cells, around a step of their programs in Python."""
 
 from __future__ import annotations
 
-import numpy as np
-
 from cell_firmware.kernels import lines, watchdog
-from cell_firmware.kernels.clock import CLOCK, due
-from cell_firmware.kernels.jit import INTEGER, entry, kernel, read, written
-from cell_firmware.kernels.messages import copy
-from cell_firmware.kernels.speed_loop import LOOP, WHEELS, drive_wheel
-
-BOARD = np.dtype(
-    [
-        ("period_ns", "<i8"),
-        ("window_ns", "<i8"),
-        ("timeout_ns", "<i8"),
-        ("reboot_ns", "<i8"),
-        ("divider_ns", "<i8"),
-        ("clock", "?"),
-        ("watchdog", "?"),
-        ("wheels", "?"),
-        ("lines", "?"),
-        ("meter", "?"),
-    ],
-    align=True,
-)
-"""Constants of a board: its times, and which parts it has."""
-
-METER = np.dtype([("sent", "<i8"), ("received", "<i8"), ("neighbours", "u1", (4,))], align=True)
-"""Counters of a cell's messages, and on which sides it has neighbours."""
+from cell_firmware.kernels.cell import BOARD, METER, begin_cell, end_cell
+from cell_firmware.kernels.clock import CLOCK
+from cell_firmware.kernels.jit import INTEGER, entry, read, written
+from cell_firmware.kernels.speed_loop import LOOP, WHEELS
 
 
 @entry(
@@ -57,18 +32,18 @@ def begin(
     received,
     message,
 ):
-    """Begin a tick: clocks, lines, and watchdogs.
+    """Begin a tick of all cells, as ``begin_cell`` does of one.
 
     Args:
         tick: Of the exchange with the plant.
         now_ns: When all cells read; unless they have clocks of their own.
         boards: One record of ``BOARD``.
         links: One record of ``LINES``.
-        clocks: ``(n,)`` of ``CLOCK``; none without clocks.
-        watches: ``(n,)`` of ``WATCHDOG``; none without watchdogs.
-        cells: ``(n,)`` of ``LINE``; none without lines, where messages are passed on whole.
-        waiting: ``(n, 4, size)`` uint8, messages in mailboxes.
-        there: ``(n, slots, 4, size)`` uint8, what lines carried.
+        clocks: As of ``begin_cell``; and so are ``watches`` to ``there``.
+        watches: ``(n,)``.
+        cells: ``(n,)``.
+        waiting: ``(n, 4, size)`` uint8.
+        there: ``(n, slots, 4, size)`` uint8.
         line_received: ``(n, 4)``, whether a line carries something.
         line: ``(n, 4, size)`` uint8, what it carries.
         at_ns: ``(n,)``, is set to when each cell reads; -1: not in this exchange.
@@ -83,45 +58,13 @@ def begin(
     k, link = boards[0], links[0]
     running, resets = 0, 0
     for i in range(len(at_ns)):
-        window = tick - 1 if k.clock else tick
-        if k.clock:
-            clock = clocks[i]
-            at_ns[i] = due(k.period_ns, k.window_ns, clock.ppb, clock.phase_ns, window, clock.count)
-        else:
-            at_ns[i] = now_ns
-        if k.lines:
-            if link.kind == lines.SERIAL:
-                lines.receive_serial(
-                    link,
-                    cells[i],
-                    there[i],
-                    window,
-                    at_ns[i],
-                    line_received[i],
-                    line[i],
-                    received[i],
-                    message[i],
-                )
-            else:
-                lines.receive_mailbox(
-                    link, cells[i], waiting[i], at_ns[i], line_received[i], line[i], received[i], message[i]
-                )
-        reset[i] = False
-        runs[i] = at_ns[i] >= 0
-        if k.watchdog and runs[i]:
-            reset[i] = watchdog.time_out(k, watches[i])
-            runs[i] = watchdog.runs(k, watches[i])
+        at_ns[i], runs[i], reset[i] = begin_cell(
+            k, link, i, tick, now_ns, clocks, watches, cells, waiting, there,
+            line_received[i], line[i], received[i], message[i],
+        )  # fmt: skip
         running += runs[i]
         resets += reset[i]
     return running, resets
-
-
-@kernel
-def count(meter, received, sent):
-    """Count the messages of a cell: received ones, and sent ones for which there is a neighbour."""
-    for side in range(4):
-        meter.received += received[side]
-        meter.sent += sent[side] and meter.neighbours[side] != 0
 
 
 @entry(
@@ -155,20 +98,20 @@ def end(
     line_sent,
     line,
 ):
-    """End a tick: speed loops, watchdogs, meters, lines, and clocks.
+    """End a tick of all cells, as ``end_cell`` does of one.
 
     Args:
         tick: Of the exchange with the plant.
         boards: One record of ``BOARD``.
         links: One record of ``LINES``.
         loops: One record of ``LOOP``.
-        clocks: ``(n,)`` of ``CLOCK``; none without clocks.
-        watches: ``(n,)`` of ``WATCHDOG``; none without watchdogs.
-        wheels: ``(n,)`` of ``WHEELS``; none without motors.
-        cells: ``(n,)`` of ``LINE``; none without lines, where messages are passed on whole.
-        meters: ``(n,)`` of ``METER``; none where messages are not counted.
-        waiting: ``(n, 4, size)`` uint8, messages that wait for a line.
-        going: ``(n, 4, size)`` uint8, messages on a line.
+        clocks: As of ``end_cell``; and so are ``watches`` to ``going``.
+        watches: ``(n,)``.
+        wheels: ``(n,)``.
+        cells: ``(n,)``.
+        meters: ``(n,)``.
+        waiting: ``(n, 4, size)`` uint8.
+        going: ``(n, 4, size)`` uint8.
         at_ns: ``(n,)``, as ``begin`` set it.
         runs: ``(n,)``, as ``begin`` set it.
         received: ``(n, 4)``, as ``begin`` filled it.
@@ -183,47 +126,9 @@ def end(
         line: ``(n, 4, size)`` uint8, zeros; is filled.
     """
     k, link, loop = boards[0], links[0], loops[0]
-    window = tick - 1 if k.clock else tick
     for i in range(len(at_ns)):
-        if runs[i]:
-            for axis in range(2):
-                if not k.wheels:
-                    drive[i, axis] = speed_m_s[i, axis]
-                else:
-                    drive[i, axis] = drive_wheel(
-                        loop, wheels[i], axis, speed_m_s[i, axis], encoder_m[i, axis]
-                    )
-                if failed[i]:
-                    drive[i, axis] = 0.0
-            if k.wheels:
-                wheels[i].seen[0] = 1
-            if k.meter:
-                count(meters[i], received[i], sent[i])
-            if k.lines:
-                if link.kind == lines.SERIAL:
-                    lines.send_serial(
-                        link,
-                        cells[i],
-                        waiting[i],
-                        going[i],
-                        window,
-                        at_ns[i],
-                        sent[i],
-                        message[i],
-                        line_sent[i],
-                        line[i],
-                    )
-                else:
-                    lines.send_mailbox(link, at_ns[i], sent[i], message[i], line_sent[i], line[i])
-        if k.watchdog and at_ns[i] >= 0:
-            if runs[i]:
-                watchdog.note(k, watches[i], drive[i], failed[i], served[i])
-            else:
-                copy(watches[i].drive, drive[i])
-            watches[i].instants += 1
-        if k.clock:
-            if at_ns[i] >= 0:
-                copy(drive[i], clocks[i].drive)
-                clocks[i].count += 1
-            else:
-                copy(clocks[i].drive, drive[i])
+        end_cell(
+            k, link, loop, i, tick, clocks, watches, wheels, cells, meters, waiting, going,
+            at_ns[i], runs[i], received[i], speed_m_s[i], failed[i], served[i], sent[i], message[i], encoder_m[i],
+            drive[i], line_sent[i], line[i],
+        )  # fmt: skip

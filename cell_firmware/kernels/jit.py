@@ -8,13 +8,10 @@ from typing import Any
 import numpy as np
 from numba import from_dtype, njit, types
 
+from bus.kernel_cache.callee import kernel
 from bus.kernel_cache.locator import disk_cached
-from bus.kernel_cache.processor import set_level
 
-set_level()
-
-kernel = njit(error_model="numpy")
-"""Of functions that other kernels call."""
+__all__ = ["BOOLEAN", "INTEGER", "REAL", "entry", "kernel", "read", "written"]
 
 
 def entry(*arguments: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -28,7 +25,7 @@ def entry(*arguments: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
 
     def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         with disk_cached(function.__module__):
-            return njit(arguments, cache=True, nogil=True, error_model="numpy")(function)
+            return njit(arguments, cache=True, nogil=True, error_model="numpy", _nrt=False)(function)
 
     return compiled
 

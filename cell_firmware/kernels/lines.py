@@ -17,10 +17,9 @@ MAILBOX = 2
 """... in a mailbox."""
 
 NEVER = np.iinfo(np.int64).max
-SERIAL_HEAD = 8
-"""Bytes before a message on a serial line: int32, when its last byte began; uint32, how many windows ago it began."""
-MAILBOX_HEAD = 8
-"""Bytes before a message for a mailbox: int64, when in its window it was sent."""
+HEAD = 8
+"""Bytes before a message. On a serial line: int32, when its last byte began; uint32, how many windows ago it began. For
+a mailbox: int64, when in its window it was sent."""
 
 MOST_SLOTS = 8
 """Most windows that a message on a serial line can wait for its delivery."""
@@ -110,7 +109,7 @@ def receive_serial(k, cell, there, window, at_ns, line_received, line, received,
                 cell.there_ns[slot, side] = NEVER
                 cell.received[side] += k.length
                 received[side] = True
-                copy(there[slot, side, SERIAL_HEAD:], message[side])
+                copy(there[slot, side, HEAD:], message[side])
 
 
 @kernel
@@ -166,7 +165,7 @@ def write_line(k, cell, side, window, message, line):
     """Write a message as a line carries it."""
     write_number(line, 0, 4, cell.last_ns[side] - window * k.window_ns)
     write_number(line, 4, 4, window - cell.began[side])
-    copy(message, line[SERIAL_HEAD:])
+    copy(message, line[HEAD:])
 
 
 @kernel
@@ -180,14 +179,14 @@ def receive_mailbox(k, cell, waiting, at_ns, line_received, line, received, mess
             cell.replaced[side] += 1
         if in_time:
             received[side] = True
-            copy(line[side, MAILBOX_HEAD:], message[side])
+            copy(line[side, HEAD:], message[side])
         elif waits and steps:
             received[side] = True
             copy(waiting[side], message[side])
         stays, remains = came and not in_time, waits and not steps
         cell.waits[side] = stays or remains
         if stays:
-            copy(line[side, MAILBOX_HEAD:], waiting[side])
+            copy(line[side, HEAD:], waiting[side])
         elif not remains:
             clear(waiting[side])
 
@@ -199,4 +198,4 @@ def send_mailbox(k, at_ns, sent, message, line_sent, line):
         if sent[side]:
             line_sent[side] = True
             write_number(line[side], 0, 8, at_ns % k.window_ns)
-            copy(message[side], line[side, MAILBOX_HEAD:])
+            copy(message[side], line[side, HEAD:])

@@ -22,15 +22,24 @@ WATCHDOG = np.dtype(
 
 
 @kernel
+def bite_ns(k, watch):
+    """When a watchdog that is not served any more resets its cell, in the cell's own time."""
+    return -(-(watch.served_ns + k.timeout_ns) // k.divider_ns) * k.divider_ns
+
+
+@kernel
+def times_out(k, watch):
+    """Whether the program served its watchdog too long ago."""
+    at_ns = watch.instants * k.period_ns
+    return at_ns - watch.served_ns >= k.timeout_ns and at_ns >= bite_ns(k, watch)
+
+
+@kernel
 def time_out(k, watch):
     """Reset a cell whose program served its watchdog too long ago. Returns whether it was reset."""
-    at_ns = watch.instants * k.period_ns
-    if at_ns - watch.served_ns < k.timeout_ns:
+    if not times_out(k, watch):
         return False
-    bites_ns = -(-(watch.served_ns + k.timeout_ns) // k.divider_ns) * k.divider_ns
-    if at_ns < bites_ns:
-        return False
-    watch.starts_ns = bites_ns + k.reboot_ns
+    watch.starts_ns = bite_ns(k, watch) + k.reboot_ns
     watch.served_ns = watch.starts_ns
     watch.hung = 0
     watch.drive[0] = 0.0

@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from bus.lattice import Lattice
-from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
-from cell_firmware.kernels.arguments import numbers, readable
+from cell_firmware.firmware import Cells, State
 from cell_firmware.program import Theory
+from cell_firmware.scalar import ScalarFirmware
 from cell_firmware.toolkit.boundary_conditions import InitialAndHeld, expand_ranges
 from cell_firmware.toolkit.graph import convergence_factor, explicit_warnings
 from cell_firmware.toolkit.hold import Ttl
@@ -27,7 +27,7 @@ class HeatDiffusionParameters(InitialAndHeld):
 
 
 @final
-class HeatDiffusion(Firmware):
+class HeatDiffusion(ScalarFirmware):
     """Explicit transient heat conduction, for both components of the speed.
 
     In every tick a cell adds to its own speed what its neighbours' messages imply::
@@ -53,7 +53,6 @@ class HeatDiffusion(Firmware):
     message = np.dtype([("vx_m_s", "<f8"), ("vy_m_s", "<f8")])
     observable = "speed_m_s"
     kernels = "cell_firmware.kernels.programs.heat_diffusion"
-    refuses_misfits = True  # it sends the speed that it drives, which is checked
 
     def check(self, lattice: Lattice) -> None:
         """Every place that is named must exist, and no cell be named twice."""
@@ -92,22 +91,9 @@ class HeatDiffusion(Firmware):
             "counts": np.zeros(sides, dtype=np.int16),
         }
 
-    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """One explicit step; sides are added in the order north, east, south, west."""
-        from cell_firmware.kernels.programs import heat_diffusion
-
-        inbox, parameters = inputs.inbox, self.parameters
-        assert inbox is not None, "this is a bug: this firmware has messages"
-        after = {
-            name: np.empty_like(state[name], order="C") for name in ("speed_m_s", "neighbour_m_s", "counts")
+    def constants(self) -> Mapping[str, float]:
+        """Rate of diffusion, and validity of messages."""
+        return {
+            "diffusion_number": self.parameters.diffusion_number,
+            "ttl_periods": self.parameters.ttl_periods,
         }
-        outbox = Outbox(
-            np.ones(inbox.received.shape, dtype=np.bool_), np.empty(inbox.received.shape, self.message)
-        )
-        heat_diffusion.step(
-            parameters.diffusion_number, parameters.ttl_periods,
-            readable(inbox.received), numbers(inbox.message, "<f8"),
-            *(readable(state[name]) for name in ("speed_m_s", "held", "neighbour_m_s", "counts")),
-            *after.values(), outbox.message.view("<f8").reshape(after["neighbour_m_s"].shape),
-        )  # fmt: skip
-        return {**state, **after}, Outputs(after["speed_m_s"], outbox)

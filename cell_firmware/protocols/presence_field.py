@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, final
 
 import numpy as np
@@ -9,8 +10,8 @@ from pydantic import Field
 
 from bus.lattice import Lattice
 from cell_firmware.fields import FieldSpec
-from cell_firmware.firmware import Cells, Firmware, Floats, Inputs, Outbox, Outputs, State
-from cell_firmware.kernels.arguments import readable
+from cell_firmware.firmware import Cells, Floats, State
+from cell_firmware.scalar import ScalarFirmware
 from cell_firmware.specs import Spec
 from cell_firmware.toolkit.hold import Ttl
 
@@ -26,7 +27,7 @@ class PresenceFieldParameters(Spec):
 
 
 @final
-class PresenceField(Firmware):
+class PresenceField(ScalarFirmware):
     """Velocity field where a parcel is sensed, and up to ``reach`` cells around.
 
     A cell's level is ``reach + 1`` where the cell senses a parcel, else one less than the highest valid level received,
@@ -36,7 +37,6 @@ class PresenceField(Firmware):
     Parameters = PresenceFieldParameters
     message = np.dtype([("level", "u1")])
     kernels = "cell_firmware.kernels.programs.presence_field"
-    refuses_misfits = True  # levels are at most 101
 
     def check_geometry(self, lattice: Lattice, position_m: Floats, pitch_m: float) -> None:
         """The field must be a number at every cell."""
@@ -53,21 +53,6 @@ class PresenceField(Firmware):
             "counts": np.zeros(sides, dtype=np.int16),
         }
 
-    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
-        """Wake or sleep, and send the own level."""
-        from cell_firmware.kernels.programs import presence_field
-
-        inbox, parameters = inputs.inbox, self.parameters
-        assert inbox is not None, "this is a bug: this firmware has messages"
-        after = {name: np.empty_like(state[name], order="C") for name in ("neighbour", "counts")}
-        speed = np.empty((len(inputs.presence), 2))
-        outbox = Outbox(
-            np.ones(inbox.received.shape, dtype=np.bool_), np.empty(inbox.received.shape, self.message)
-        )
-        presence_field.step(
-            parameters.reach, parameters.ttl_periods, readable(inputs.presence), readable(inbox.received),
-            readable(inbox.message["level"]),
-            *(readable(state[name]) for name in ("speed_m_s", "neighbour", "counts")),
-            speed, *after.values(), outbox.message["level"],
-        )  # fmt: skip
-        return {**state, **after}, Outputs(speed, outbox)
+    def constants(self) -> Mapping[str, int]:
+        """Reach, and validity of messages."""
+        return {"reach": self.parameters.reach, "ttl_periods": self.parameters.ttl_periods}

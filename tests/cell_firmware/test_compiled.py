@@ -125,7 +125,7 @@ class Pair:
                 shard._controller.general
             )
         for shard in self.both[1].shards:
-            shard._controller = shard._controller.general
+            shard._controller, shard._kernel = shard._controller.general, None
         self.draw = np.random.default_rng([shards, len(program)])
         self.travel = np.zeros((len(lattice), 2))
         self.presence = np.zeros((len(lattice), 1), dtype=np.bool_)

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import pytest
 
-from plant.kernels.common import jit
+from bus.kernel_cache import callee
 
 FULL = numba.njit(error_model="numpy", _nrt=False)
 
@@ -43,11 +43,11 @@ def _settled(make: Callable[[Any], Any]) -> Callable[[float, int], float]:
 
 @pytest.mark.parametrize("x", [0.3, -0.7, 1e-9, 5.0])
 def test_callees_that_stay_intermediate_code_give_the_bits_of_whole_compilation(x: float) -> None:
-    assert _settled(jit.kernel)(x, 500).hex() == _settled(FULL)(x, 500).hex()
+    assert _settled(callee.kernel)(x, 500).hex() == _settled(FULL)(x, 500).hex()
 
 
 def test_a_kernel_has_no_machine_code_of_its_own() -> None:
-    made = jit.kernel(lambda x: x + 1.0)
+    made = callee.kernel(lambda x: x + 1.0)
 
     @FULL
     def call(x: float) -> float:
@@ -55,12 +55,12 @@ def test_a_kernel_has_no_machine_code_of_its_own() -> None:
 
     assert call(1.0) == 2.0
     (signature,) = made.signatures
-    assert type(made.overloads[signature].library) is jit.CalleeLibrary
-    assert type(call.overloads[call.signatures[0]].library) is not jit.CalleeLibrary
+    assert type(made.overloads[signature].library) is callee.CalleeLibrary
+    assert type(call.overloads[call.signatures[0]].library) is not callee.CalleeLibrary
 
 
 def _afresh() -> ModuleType:
-    located = importlib.util.spec_from_file_location("jit_afresh", Path(jit.__file__))
+    located = importlib.util.spec_from_file_location("callee_afresh", Path(callee.__file__))
     assert located is not None
     assert located.loader is not None
     module = importlib.util.module_from_spec(located)
@@ -69,7 +69,7 @@ def _afresh() -> ModuleType:
 
 
 def test_an_untried_numba_compiles_every_kernel_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(numba, "version_info", numba.version_info._replace(minor=jit.TRIED[1][1] + 1))
+    monkeypatch.setattr(numba, "version_info", numba.version_info._replace(minor=callee.TRIED[1][1] + 1))
     made = _afresh().kernel(lambda x: x + 1.0)
     made.compile((numba.float64,))
     assert "CalleeLibrary" not in {

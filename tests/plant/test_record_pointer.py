@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba.core.registry import cpu_target
 
-from plant.kernels.common.jit import kernel
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common.record_pointer import RecordPointer, pointer_to
 
 ENTRY = numba.njit(error_model="numpy", _nrt=False)

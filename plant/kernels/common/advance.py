@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from math import cos, exp, inf, isfinite, sin
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import branch_changes, underside
 from plant.kernels.common.capture import groups_hold, join_last, try_capture
 from plant.kernels.common.changes import apply, log
 from plant.kernels.common.events import bend, entering, leaving
 from plant.kernels.common.footprint import fill, may_go_on
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.load_events import loading
 from plant.kernels.common.modes import settled
 from plant.kernels.common.motion import onto_surfaces, surface_rates

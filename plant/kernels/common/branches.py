@@ -12,9 +12,9 @@ forces of such wheels.
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.events import crossing, note
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.roots import NONE
 from plant.kernels.common.series import product
 from plant.kernels.common.springs import LOAD_ZERO, gap, plane_at, stiffness

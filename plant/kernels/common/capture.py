@@ -8,8 +8,8 @@ at one instant form one group with one fraction; so does a cell whose surface ha
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.modes import (
     FRACTION_ZERO,
     least_share,

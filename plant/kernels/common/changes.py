@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.capture import edge_of, slot_of
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.modes import drop, release, release_inside
 
 

@@ -6,8 +6,8 @@ what the motion can cover in the step is passed over by that bound alone; the ot
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.roots import NONE, deflate, first_crossing, horner
 
 SLACK = 1e-6

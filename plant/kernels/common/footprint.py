@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import cos, sin
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.select import parcel_view
 
 EDGE_SLACK = 4.0

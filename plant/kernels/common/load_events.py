@@ -5,9 +5,9 @@ All series are in unit time here, as in ``events``.
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.events import SLACK, crossing, negate, note
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.modes import FRACTION_ZERO
 from plant.kernels.common.roots import horner
 from plant.kernels.common.springs import gap, negligible

@@ -7,8 +7,8 @@ load would be negative is the convex problem solved, by Newton's method with a l
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.moments import segment
 from plant.kernels.common.motion import solve
 from plant.kernels.common.springs import gap, negligible, plane_at, shift, stiffness

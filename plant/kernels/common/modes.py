@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from math import inf
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import settle_branches
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.loads import settle
 from plant.kernels.common.moments import moments
 from plant.kernels.common.motion import accelerations, surfaces

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from math import inf
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import note_gaps, stiffness
 from plant.kernels.common.wheel_direction import direction
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 
 NEWTON_STEPS = 40
 """More than enough for fractions that exist."""

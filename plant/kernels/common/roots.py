@@ -8,7 +8,7 @@ leaves) are therefore found like any other.
 
 from __future__ import annotations
 
-from plant.kernels.common.jit import kernel
+from bus.kernel_cache.callee import kernel
 
 NONE = 2.0
 """Returned where there is no crossing: past the unit interval."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.parcels import CHANGES, LEFT_OUT, LOG_CAPACITY, LOGGED, MOVED, WHICH, Parcel
 
 

@@ -8,8 +8,8 @@ order by the surfaces' second rates.
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.motion import differences, linear, solve
 
 

@@ -6,11 +6,11 @@ the next outrun wheel is a new report.
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import carries, slip_now, slip_polynomial
 from plant.kernels.common.changes import log
 from plant.kernels.common.events import crossing, note
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.roots import NONE
 from plant.kernels.common.wheel_direction import direction
 

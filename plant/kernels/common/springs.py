@@ -7,9 +7,9 @@ for surfaces with ``edges``.
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.step_end import rollers_under
 from plant.kernels.common.surface import Surface
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import log as ln
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 
 TURNED = 1e-13
 """A wheel turns round now if the parts of its speed cancel to this share: rounding of the decay factor, and of time."""

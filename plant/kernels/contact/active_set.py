@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.contact.linear import add_entries, factorise, select_unknowns, substitute
 from plant.kernels.contact.problem import (
     COMPLIANCE,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import hypot
 from typing import Final
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
 from plant.kernels.contact.polygons import stays_clear
 

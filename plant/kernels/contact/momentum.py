@@ -8,8 +8,8 @@ change out: two bodies that get farther apart along the normal pass each other m
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
 
 

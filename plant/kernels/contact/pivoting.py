@@ -12,8 +12,8 @@ from __future__ import annotations
 from math import sqrt
 from typing import Final
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.contact.problem import COMPLIANCE, coupling, face_of
 
 GOLDEN: Final = 0.6180339887498949

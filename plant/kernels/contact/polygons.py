@@ -10,8 +10,8 @@ from __future__ import annotations
 from math import cos, hypot, sin
 from typing import Final
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 
 COINCIDENT: Final = 1e-12
 """Corners nearer than this, m, have no direction from one to the other: an edge's normal is taken."""

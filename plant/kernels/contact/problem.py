@@ -14,8 +14,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
 
 COMPLIANCE: Final = 1e-6

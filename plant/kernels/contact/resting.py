@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import cos, hypot, sin
 from typing import Final
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.contact import layout as to
 from plant.kernels.contact.impulses import ACCEPTED, SOLVED, leaving, settle, sliding
 from plant.kernels.contact.manifold import build_rows, move_row

@@ -18,10 +18,10 @@ t = 1. Where it converges too slowly t is halved, and so it is where no loads ba
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.loads import settle
 from plant.kernels.common.springs import shift, transfer_under, unshift
 from plant.kernels.common.surface import Transfer

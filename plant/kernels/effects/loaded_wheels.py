@@ -18,10 +18,10 @@ from __future__ import annotations
 
 from math import exp, expm1
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 from plant.kernels.implicit.hooks import (
     begun,
     extrapolate,

@@ -9,10 +9,10 @@ Impulses of one instant act one after another, each on the slip that the others 
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import lever
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import gap, plane_at, stiffness
 from plant.kernels.common.step_end import allowed, rollers_under, strike
 from plant.kernels.common.surface import Rollers

@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import atan2, cos, pi, sin, sqrt
 from typing import Final
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.footprint import box
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.select import parcel_view
 
 NOTHING: Final = 2.0**-48

@@ -15,11 +15,11 @@ before a wheel lets go.
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import lever
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import stiction_under
 from plant.kernels.common.surface import Stiction
 from plant.kernels.implicit.hooks import speed, summed

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import advance
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.parcels import LOG_CAPACITY
 from plant.kernels.common.record_pointer import pointer_to
 from plant.kernels.common.select import note_result, parcel_view

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.footprint import EDGE_SLACK, box, inside
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.surface import Surface
 
 Floats = NDArray[np.float64]

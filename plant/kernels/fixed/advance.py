@@ -6,11 +6,11 @@ asked for. Nothing is located and no error is estimated.
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import fill, sampled_until
-from plant.kernels.common.jit import kernel
 from plant.kernels.implicit.balance_hooks import balance, begin_balance
 from plant.kernels.implicit.step import EPSILON, grasp, pull, sign, unlimited
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from math import exp
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import fill, may_go_on, sampled_until
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.springs import reach
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.implicit import located

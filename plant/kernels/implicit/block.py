@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.parcels import LOG_CAPACITY
 from plant.kernels.common.record_pointer import pointer_to
 from plant.kernels.common.select import load_state, note_result, parcel_view, store_state

@@ -7,10 +7,10 @@ as that of a parcel that sticks does, is read from it to the bit. All series are
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import lever, pulls
-from plant.kernels.common.jit import kernel
 from plant.kernels.implicit.extrapolation import euler
 from plant.kernels.implicit.step import EPSILON, INSTANT, grasp, press, pull, unlimited
 from plant.kernels.implicit.stiction_hooks import find_velocity

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from math import cos, sin
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.motion import solve
 from plant.kernels.common.springs import smooth
 from plant.kernels.implicit.balance_hooks import balance, begin_balance

@@ -6,8 +6,8 @@ hooks for a ``work`` with ``slowing``, which holds the speed loss of each wheel.
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 
 
 def speed(work, surface, cell, e):

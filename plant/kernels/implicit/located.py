@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from math import cos, inf, sin
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import (
@@ -29,7 +30,6 @@ from plant.kernels.common.branches import jumps, settle_branches
 from plant.kernels.common.capture import depth, edge_motion, slot_of
 from plant.kernels.common.changes import apply
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.loads import settle
 from plant.kernels.common.modes import least_share
 from plant.kernels.common.series import taylor

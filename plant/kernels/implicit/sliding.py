@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from math import cos, sin
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.modes import gather, least_share, mix
 from plant.kernels.common.modes import grasp as grasp_series
 from plant.kernels.common.motion import accelerations, solve, surface_rates, surfaces

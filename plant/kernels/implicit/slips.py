@@ -9,10 +9,10 @@ one the force falls, and the step is ended where the slip begins.
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import SLIGHT, leeway, lever, pulls, slight, slip_now
-from plant.kernels.common.jit import kernel
 from plant.kernels.implicit.extrapolation import extrapolated
 from plant.kernels.implicit.sliding import accelerate_along
 from plant.kernels.implicit.step import rounded_slip, sign, slip_at

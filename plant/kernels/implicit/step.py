@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from math import exp, isfinite, nan
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import pulls, slip_now
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.motion import share_of, solve
 from plant.kernels.common.springs import gap, note_gaps, plane_at, shift, stiffness
 from plant.kernels.implicit.hooks import lighten, summed, unloaded

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.changes import log
-from plant.kernels.common.jit import kernel
 from plant.kernels.implicit.hooks import speed
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import cos, exp, sin
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.footprint import box, inside
-from plant.kernels.common.jit import kernel
 from plant.kernels.common.loads import settle
 from plant.kernels.common.springs import reach, touches, unshift
 

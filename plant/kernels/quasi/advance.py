@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from math import exp, isfinite
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.footprint import fill, may_go_on, sampled_until
-from plant.kernels.common.jit import kernel
 from plant.kernels.implicit.extrapolation import length
 from plant.kernels.implicit.step import grasp, new_velocity
 from plant.kernels.implicit.step_events import note_changes, remember

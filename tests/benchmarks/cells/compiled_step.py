@@ -53,7 +53,7 @@ class Side:
         whole = Cells.of(lattice, np.zeros((cells, 2)), spec.period_s)
         self.shard = Shard(controller, whole, partition, 0, enabled.input_filters(site))
         if not compiled:
-            self.shard._controller = self.shard._controller.general
+            self.shard._controller, self.shard._kernel = self.shard._controller.general, None
         draw = np.random.default_rng(cells)
         self.presence = draw.random((8, cells, 1)) < 0.5
         self.travel = np.cumsum(draw.uniform(-1e-3, 2e-3, (8, cells, 2)), axis=0)

@@ -112,9 +112,9 @@ class CalleeCompiler(CompilerBase):
         return [manager]
 
 
-_OPTIONS = {"pipeline_class": CalleeCompiler} if TRIED[0] <= numba.version_info[:2] <= TRIED[1] else {}
+_PIPELINE = {"pipeline_class": CalleeCompiler} if TRIED[0] <= numba.version_info[:2] <= TRIED[1] else {}
 
-kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False, **_OPTIONS)
-"""No fused multiply-add, no reordering (``fastmath`` off): the same bits on every run. No wrappers for calls from
-Python: they would double the compiling time. No reference counts (``_nrt``): kernels allocate nothing, and counting
-cost a fifth of the time."""
+kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False, **_PIPELINE)
+"""Decorator of a kernel that other kernels call. No fused multiply-add, no reordering (``fastmath`` off): the same bits
+on every run. No wrappers for calls from Python: they would double the compiling time. No reference counts (``_nrt``):
+kernels allocate nothing, and counting cost a fifth of the time."""

@@ -1,0 +1,44 @@
+"""Records of a program in scalar form: what its step reads and writes in a control period of one cell."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+MOST_SENSORS = 5
+"""Most presence sensors of a cell."""
+NO_MESSAGE = np.dtype([("none", "u1")])
+"""Type in place of the messages of a program that has none."""
+
+
+def inputs_type(message: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the type of a step's inputs, for a type of messages; truth values are bytes, 0 or 1.
+
+    ``sensors`` says how many of ``presence`` and ``level`` there are; ``level`` and ``label`` are zero in a scene
+    without analogue sensors and scanners. Sides are in the order north, east, south, west.
+    """
+    return np.dtype(
+        [
+            ("sensors", "<i8"),
+            ("level", "<f8", (MOST_SENSORS,)),
+            ("label", "<i8"),
+            ("presence", "u1", (MOST_SENSORS,)),
+            ("received", "u1", (4,)),
+            ("message", message, (4,)),
+        ],
+        align=True,
+    )
+
+
+def outputs_type(message: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the type of a step's outputs, which are zero before it, but for ``served``, which is 1."""
+    return np.dtype(
+        [
+            ("speed_m_s", "<f8", (2,)),
+            ("served", "u1"),
+            ("sent", "u1", (4,)),
+            ("message", message, (4,)),
+        ],
+        align=True,
+    )

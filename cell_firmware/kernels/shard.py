@@ -1,0 +1,343 @@
+"""A tick of all cells of a shard in one call: messages, sensors, boards, and programs in scalar form.
+
+A cell is done with before the next one begins. Messages are read where the neighbours' steps of the tick before left
+them, and written to a second place, which the next tick reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from cell_firmware.kernels import lines
+from cell_firmware.kernels.cell import BOARD, METER, begin_cell, end_cell, read_ns, window_of
+from cell_firmware.kernels.clock import CLOCK, count_before, due
+from cell_firmware.kernels.debounce import debounced
+from cell_firmware.kernels.jit import INTEGER, entry, kernel, read, written
+from cell_firmware.kernels.memory import array_at
+from cell_firmware.kernels.messages import clear, copy
+from cell_firmware.kernels.program import inputs_type, outputs_type
+from cell_firmware.kernels.speed_loop import LOOP, WHEELS
+from cell_firmware.kernels.watchdog import WATCHDOG, times_out
+
+RESETS = -1
+"""Result of a tick that was not begun, since a watchdog resets a cell in it."""
+
+BOOL = np.dtype(np.bool_)
+BYTE = np.dtype(np.uint8)
+LONG = np.dtype(np.int64)
+DOUBLE = np.dtype(np.float64)
+
+SHARD = np.dtype(
+    [
+        (name, "<i8")
+        for name in (
+            "cells",  # n of the shard, dead ones included
+            "live",  # a of them that live
+            "sensors",  # of a cell
+            "messages",  # whether there are any
+            "slots",  # of a serial line's past
+            "links_out",  # links out over the border
+            "debounce_ticks",  # 1: bits are taken as they are
+            "clock_period_ns",  # of the clocks by which bits are read; 0: in every exchange
+            "clock_window_ns",
+            "bounces",  # counted
+            # addresses of arrays
+            "boards",  # (1,) of BOARD
+            "links",  # (1,) of LINES
+            "loops",  # (1,) of LOOP
+            "clocks",  # (a,) of CLOCK
+            "watches",  # (a,) of WATCHDOG
+            "wheels",  # (a,) of WHEELS
+            "lines",  # (a,) of LINE
+            "meters",  # (a,) of METER
+            "waiting",  # (a, 4, size) bytes
+            "going",  # (a, 4, size) bytes
+            "there",  # (a, slots, 4, size + head) bytes
+            "rows",  # (a,): the row of each live cell among the shard's
+            "source",  # (n, 4): slot of the outbox that a side reads; -1: none; below: link -2 - source of the border
+            "border_from",  # (links_out,): slot of the outbox
+            "sent_0",  # (4 n,) bool, the two outboxes
+            "sent_1",
+            "outbox_0",  # (4 n, size + head) bytes
+            "outbox_1",
+            "inputs",  # (1,) of inputs_type; "received" and "message" once more as bytes
+            "inputs_received",
+            "inputs_message",
+            "outputs",  # (1,) of outputs_type; likewise
+            "outputs_sent",
+            "outputs_message",
+            "line_received",  # (4,) bool
+            "line",  # (4, size + head) bytes
+            "failed",  # (a,) bool: whether a program's speed was no number
+            "speed",  # (a, 2): that speed
+            "believed",  # (n, sensors) bool, of the debouncing
+            "readings",  # (n, sensors)
+            "ppb",  # (n,): errors of the clocks
+            "phase_ns",  # (n,)
+        )
+    ]
+)
+"""A shard as ``run_tick`` has it: numbers, and addresses of what stays in one place."""
+
+
+step: Any = None
+INPUTS: Any = None
+OUTPUTS: Any = None
+SIZE: Any = None
+"""A program's step, the types of its inputs and outputs, and the bytes of its messages: see ``compiled_program``."""
+
+
+def run_rows(parameters, states, inputs, outputs):
+    """Step the programs of cells alone.
+
+    Args:
+        parameters: One record.
+        states: ``(n,)`` records, changed in place.
+        inputs: ``(n,)`` of ``inputs_type``.
+        outputs: ``(n,)`` of ``outputs_type``, as before a step; is filled.
+    """
+    for i in range(len(states)):
+        step(parameters[0], states[i], inputs[i], outputs[i])
+
+
+@kernel
+def any_reset(k, s, window, now_ns, clocks, watches):
+    """Whether a watchdog resets a cell in a window."""
+    for i in range(s.live):
+        if read_ns(k, clocks, i, window, now_ns) >= 0 and times_out(k, watches[i]):
+            return True
+    return False
+
+
+@kernel
+def read_bits(s, row, window, bits, believed, readings, presence):
+    """Read a cell's presence bits, debounced.
+
+    Args:
+        s: Record of ``SHARD``, which counts bounces.
+        row: Of the cell.
+        window: In which it reads.
+        bits: ``(n, sensors)``.
+        believed: ``(n, sensors)``, the accepted bits, changed in place.
+        readings: ``(n, sensors)``, readings in a row that differ from them, changed in place.
+        presence: ``(sensors,)`` at least; is filled with the accepted bits.
+    """
+    if s.debounce_ticks == 1:
+        for sensor in range(s.sensors):
+            presence[sensor] = bits[row, sensor]
+        return
+    fresh = True
+    if s.clock_period_ns:
+        ppb, phase_ns = (
+            array_at(s.ppb, s.cells, LONG)[row],
+            array_at(s.phase_ns, s.cells, LONG)[row],
+        )
+        before = count_before(s.clock_period_ns, ppb, phase_ns, window * s.clock_window_ns)
+        fresh = due(s.clock_period_ns, s.clock_window_ns, ppb, phase_ns, window, before) >= 0
+    for sensor in range(s.sensors):
+        bit = bits[row, sensor]
+        if fresh:
+            if bit == believed[row, sensor] and readings[row, sensor] > 0:
+                s.bounces += 1
+            believed[row, sensor], readings[row, sensor] = debounced(
+                s.debounce_ticks, bit, believed[row, sensor], readings[row, sensor]
+            )
+        presence[sensor] = believed[row, sensor]
+
+
+@kernel
+def collect_cell(row, source, sent, outbox, border_received, border, received, message):
+    """Collect what a cell's links carry, from the last tick's outbox of the shard and from its border.
+
+    Args:
+        row: Of the cell.
+        source: ``(n, 4)``, as in ``SHARD``.
+        sent: ``(4 n,)``, and ...
+        outbox: ... ``(4 n, size)`` uint8 of the shard.
+        border_received: ``(l,)``, and ...
+        border: ... ``(l, size)`` uint8 of the border.
+        received: ``(4,)``; is filled.
+        message: ``(4, size)`` uint8; is filled, with zeros where nothing came.
+    """
+    for side in range(4):
+        slot = source[row, side]
+        received[side] = False
+        if slot >= 0 and sent[slot]:
+            received[side] = True
+            copy(outbox[slot], message[side])
+        elif slot < -1 and border_received[-2 - slot]:
+            received[side] = True
+            copy(border[-2 - slot], message[side])
+        else:
+            clear(message[side])
+
+
+@kernel
+def leave_shard(sent, outbox, border_from, border_sent, border):
+    """Take the messages that leave a shard over its border."""
+    for link in range(len(border_from)):
+        row, side = border_from[link] // 4, border_from[link] % 4
+        border_sent[link] = sent[row, side]
+        if sent[row, side]:
+            copy(outbox[row, side], border[link])
+        else:
+            clear(border[link])
+
+
+def run_tick(
+    tick, now_ns, current, shards, parameters, states, bits, encoder_m,
+    border_received, border, drive, border_sent, border_out,
+):  # fmt: skip
+    """Step all live cells of a shard.
+
+    Args:
+        tick: Of the exchange with the plant.
+        now_ns: When all cells read; unless they have clocks of their own.
+        current: Which of the two outboxes has the messages of the tick before; the other one is filled.
+        shards: One record of ``SHARD``.
+        parameters: One record of the program's constants.
+        states: ``(a,)`` records of the live cells' programs, changed in place.
+        bits: ``(n, sensors)``, presence bits.
+        encoder_m: ``(n, 2)``, travel of the wheels; any numbers without motors.
+        border_received: ``(l,)``, whether a message came over a link of the border.
+        border: ``(l, line_size)`` uint8, these messages.
+        drive: ``(n, 2)``; is filled, with zeros for dead cells.
+        border_sent: ``(links_out,)``; is filled.
+        border_out: ``(links_out, line_size)`` uint8; is filled.
+
+    Returns:
+        How many programs drive what is no number; ``RESETS`` if nothing was done.
+    """
+    s = shards[0]
+    n, live = s.cells, s.live
+    k, link, loop = (
+        array_at(s.boards, 1, BOARD)[0],
+        array_at(s.links, 1, lines.LINES)[0],
+        array_at(s.loops, 1, LOOP)[0],
+    )
+    clocks, watches = array_at(s.clocks, live, CLOCK), array_at(s.watches, live, WATCHDOG)
+    window = window_of(k, tick)
+    if k.watchdog and any_reset(k, s, window, now_ns, clocks, watches):
+        return RESETS
+    wheels, meters = array_at(s.wheels, live, WHEELS), array_at(s.meters, live, METER)
+    cells = array_at(s.lines, live, lines.LINE)
+    waiting, going = array_at(s.waiting, (live, 4, SIZE), BYTE), array_at(s.going, (live, 4, SIZE), BYTE)
+    there = array_at(s.there, (live, s.slots, 4, SIZE + lines.HEAD), BYTE)
+    rows, source = array_at(s.rows, live, LONG), array_at(s.source, (n, 4), LONG)
+    sent = array_at(s.sent_1 if current else s.sent_0, 4 * n, BOOL)
+    sent_next = array_at(s.sent_0 if current else s.sent_1, (n, 4), BOOL)
+    before, after = s.outbox_1 if current else s.outbox_0, s.outbox_0 if current else s.outbox_1
+    inputs, outputs = array_at(s.inputs, 1, INPUTS)[0], array_at(s.outputs, 1, OUTPUTS)[0]
+    received, message = array_at(s.inputs_received, 4, BOOL), array_at(s.inputs_message, (4, SIZE), BYTE)
+    says, said = array_at(s.outputs_sent, 4, BOOL), array_at(s.outputs_message, (4, SIZE), BYTE)
+    line_received, line = array_at(s.line_received, 4, BOOL), array_at(s.line, (4, SIZE + lines.HEAD), BYTE)
+    failed, speed = array_at(s.failed, live, BOOL), array_at(s.speed, (live, 2), DOUBLE)
+    believed = array_at(s.believed, (n, s.sensors), BOOL)
+    readings = array_at(s.readings, (n, s.sensors), LONG)
+    # what links carry: lines put a head before a message; the sizes are constants to the compiler
+    lined, lined_next = (
+        array_at(before, (4 * n, SIZE + lines.HEAD), BYTE),
+        array_at(after, (n, 4, SIZE + lines.HEAD), BYTE),
+    )
+    whole, whole_next = array_at(before, (4 * n, SIZE), BYTE), array_at(after, (n, 4, SIZE), BYTE)
+    failures = 0
+    if live < n:
+        for row in range(n):
+            drive[row, 0] = drive[row, 1] = 0.0
+            for side in range(4):
+                sent_next[row, side] = False
+    for i in range(live):
+        row = rows[i]
+        read_bits(s, row, window, bits, believed, readings, inputs.presence)
+        if k.lines:
+            collect_cell(row, source, sent, lined, border_received, border, line_received, line)
+            for side in range(4):
+                received[side] = False
+                clear(message[side])
+        elif s.messages:
+            collect_cell(row, source, sent, whole, border_received, border, received, message)
+        at_ns, runs, _ = begin_cell(
+            k, link, i, tick, now_ns, clocks, watches, cells, waiting, there,
+            line_received, line, received, message,
+        )  # fmt: skip
+        for side in range(4):
+            says[side] = False
+            clear(said[side])
+        wanted = outputs.speed_m_s
+        wanted[0] = wanted[1] = 0.0
+        outputs.served = 1
+        failed[i] = False
+        if runs:
+            step(parameters[0], states[i], inputs, outputs)
+            if not (np.isfinite(wanted[0]) and np.isfinite(wanted[1])):
+                failed[i] = True
+                failures += 1
+                for axis in range(2):
+                    speed[i, axis] = wanted[axis]
+                    wanted[axis] = wanted[axis] if np.isfinite(wanted[axis]) else 0.0
+                for side in range(4):
+                    says[side] = False
+        if k.lines:
+            for side in range(4):
+                sent_next[row, side] = False
+                clear(lined_next[row, side])
+        elif s.messages:
+            for side in range(4):
+                sent_next[row, side] = says[side]
+                copy(said[side], whole_next[row, side])
+        end_cell(
+            k, link, loop, i, tick, clocks, watches, wheels, cells, meters, waiting, going,
+            at_ns, runs, received, wanted, failed[i], outputs.served != 0, says, said, encoder_m[row],
+            drive[row], sent_next[row], lined_next[row],
+        )  # fmt: skip
+    border_from = array_at(s.border_from, s.links_out, LONG)
+    if k.lines:
+        leave_shard(sent_next, lined_next, border_from, border_sent, border_out)
+    elif s.messages:
+        leave_shard(sent_next, whole_next, border_from, border_sent, border_out)
+    return failures
+
+
+def compiled_program(
+    module: str,
+    step: Callable[..., None],
+    parameters: np.dtype[Any],
+    state: np.dtype[Any],
+    message: np.dtype[Any],
+) -> tuple[Any, Any]:
+    """Compile ``run_tick`` and ``run_rows`` for a program, or load them from disk.
+
+    Args:
+        module: Name of the program's module of kernels.
+        step: Kernel of one cell, ``step(parameters, state, inputs, outputs)``.
+        parameters: Type of the record of its constants.
+        state: Type of the record of a cell's state.
+        message: Type of its messages.
+
+    Returns:
+        Both entry points.
+    """
+    inputs, outputs = inputs_type(message), outputs_type(message)
+    names = {"step": step, "INPUTS": inputs, "OUTPUTS": outputs, "SIZE": message.itemsize}
+    tick = entry(
+        INTEGER, INTEGER, INTEGER, written(SHARD, 1), read(parameters, 1), written(state, 1), read("?", 2),
+        read("f8", 2), read("?", 1), read("u1", 2), written("f8", 2), written("?", 1), written("u1", 2),
+    )(_for_program(run_tick, module, names))  # fmt: skip
+    rows = entry(read(parameters, 1), written(state, 1), written(inputs, 1), written(outputs, 1))(
+        _for_program(run_rows, module, names)
+    )
+    return tick, rows
+
+
+def _for_program(function: Any, module: str, names: dict[str, Any]) -> Any:
+    """Return a function of this module as a program's own, in which the names of its step and types are bound.
+
+    As arguments they would keep numba from caching what calls it.
+    """
+    made = FunctionType(function.__code__, {**globals(), **names}, function.__name__)
+    made.__module__ = module
+    return made

@@ -1,0 +1,92 @@
+"""Programs in scalar form: one compiled step of one cell, on records of state."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, ClassVar, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.firmware import Firmware, Inputs, Outbox, Outputs, State
+
+
+class ScalarKernels(Protocol):
+    """Module of a program in scalar form.
+
+    Attributes:
+        PARAMETERS: Type of the record of its constants.
+        STATE: Type of the record of a cell's state; truth values are bytes.
+        MESSAGE: Type of its messages.
+        tick: ``cell_firmware.kernels.shard.run_tick`` of the program.
+        rows: ``cell_firmware.kernels.shard.run_rows`` of the program.
+    """
+
+    PARAMETERS: np.dtype[Any]
+    STATE: np.dtype[Any]
+    MESSAGE: np.dtype[Any]
+    tick: Any
+    rows: Any
+
+
+class ScalarFirmware(Firmware):
+    """Firmware whose step is a kernel of one cell, in the module ``kernels``.
+
+    A shard's tick is then a single call. ``init`` returns arrays, named as the fields of the module's ``STATE``.
+    """
+
+    form: ClassVar[str] = "compiled"
+    refuses_misfits: ClassVar[bool] = True  # messages are written into fields of the wire type
+
+    @abstractmethod
+    def constants(self) -> Mapping[str, Any]:
+        """Return the values of the fields of ``PARAMETERS``."""
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        """One control period of every cell, for boards and faults that are stepped on arrays."""
+        from cell_firmware.kernels.program import inputs_type, outputs_type
+
+        module = kernels_of(self)
+        n = len(inputs.presence)
+        records, after = state_records(module.STATE, state, n)
+        given = np.zeros(n, dtype=inputs_type(module.MESSAGE))
+        given["sensors"] = inputs.presence.shape[1]
+        given["presence"][:, : inputs.presence.shape[1]] = inputs.presence
+        if inputs.level is not None:
+            given["level"][:, : inputs.level.shape[1]] = inputs.level
+        if inputs.label is not None:
+            given["label"] = inputs.label
+        if inputs.inbox is not None:
+            given["received"], given["message"] = inputs.inbox.received, inputs.inbox.message
+        done = np.zeros(n, dtype=outputs_type(module.MESSAGE))
+        done["served"] = 1
+        module.rows(parameters_record(module.PARAMETERS, self.constants()), records, given, done)
+        outbox = None
+        if self.message is not None:
+            outbox = Outbox(done["sent"].astype(np.bool_), np.ascontiguousarray(done["message"]))
+        return after, Outputs(done["speed_m_s"].copy(), outbox, served=done["served"].astype(np.bool_))
+
+
+def kernels_of(firmware: Firmware) -> ScalarKernels:
+    """Return the module of kernels of a program in scalar form, which compiles or loads them."""
+    return cast(ScalarKernels, import_module(firmware.kernels))
+
+
+def parameters_record(kind: np.dtype[Any], constants: Mapping[str, Any]) -> NDArray[Any]:
+    """Return the constants of a program as one record, ``(1,)``."""
+    record = np.zeros(1, dtype=kind)
+    for name, value in constants.items():
+        record[name] = value
+    return record
+
+
+def state_records(kind: np.dtype[Any], state: State, n: int) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
+    """Return the state of n cells as records, ``(n,)``, and the same memory as arrays by name."""
+    records, arrays = np.zeros(n, dtype=kind), dict[str, NDArray[Any]]()
+    for name, values in state.items():
+        field = records[name]
+        arrays[name] = field.view(np.bool_) if values.dtype == np.bool_ else field
+        arrays[name][...] = values
+    return records, arrays

@@ -1,0 +1,267 @@
+"""A shard's tick in one call of a kernel: for programs in scalar form, on boards that have kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell_firmware.board import PROGRAM
+from cell_firmware.compiled import CompiledController, Hardware
+from cell_firmware.controller import ControllerState
+from cell_firmware.effects.base import InputFilter
+from cell_firmware.effects.sensor import Debounce
+from cell_firmware.errors import FirmwareFailed
+from cell_firmware.firmware import Bools, Floats, Messages, State
+from cell_firmware.kernels import shard as kernels
+from cell_firmware.kernels.arguments import readable
+from cell_firmware.kernels.program import NO_MESSAGE, inputs_type, outputs_type
+from cell_firmware.scalar import ScalarFirmware, kernels_of, parameters_record, state_records
+from cell_firmware.shard_links import Indices, ShardLinks
+
+Outboxes = tuple[Bools, Messages]
+"""Whether a slot has a message, ``(4 n,)``, and the messages, ``(4 n,)`` of the type of links."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class TickResult:
+    """Result of a shard's tick.
+
+    Attributes:
+        drive: ``(n, 2)``.
+        sent: ``(links,)``, whether a message leaves over a link of the border.
+        message: ``(links,)``, these messages.
+        failures: Failures by row of the cell among the live ones.
+    """
+
+    drive: Floats
+    sent: Bools
+    message: Messages
+    failures: Mapping[int, FirmwareFailed]
+
+
+def shard_kernel(
+    controller: CompiledController, links: ShardLinks, filters: Sequence[InputFilter], sensors: int
+) -> ShardKernel | None:
+    """Return the kernel of a shard; None if its program is not in scalar form, or for filters but debouncing.
+
+    Args:
+        controller: The cells' controller.
+        links: Links of the shard.
+        filters: Filters of the inputs, in order of application.
+        sensors: Presence sensors of a cell.
+    """
+    debouncing = [one for one in filters if isinstance(one, Debounce)]
+    if not isinstance(controller.firmware, ScalarFirmware) or len(debouncing) < len(filters):
+        return None
+    if len(debouncing) > 1:
+        return None
+    return ShardKernel(controller, controller.firmware, links, debouncing[0] if debouncing else None, sensors)
+
+
+@final
+class ShardKernel:
+    """Tick of all live cells of a shard in one call.
+
+    The state that was bound last is changed in place, and so are the outbox and the debouncing's memory.
+
+    Args:
+        controller: The cells' controller; its program is in scalar form.
+        firmware: That program.
+        links: Links of the shard.
+        debounce: Debouncing of presence bits; None: bits are taken as they are.
+        sensors: Presence sensors of a cell.
+
+    Attributes:
+        hangs: Whether a cell whose program fails hangs, to be reset by its watchdog.
+    """
+
+    def __init__(
+        self,
+        controller: CompiledController,
+        firmware: ScalarFirmware,
+        links: ShardLinks,
+        debounce: Debounce | None,
+        sensors: int,
+    ) -> None:
+        module = self._module = kernels_of(firmware)
+        self.hangs = controller.hangs
+        self._controller = controller
+        self._links = links
+        self._cells, self._sensors = links.cells, sensors
+        self._debounce = debounce
+        self._line = controller.link_type or NO_MESSAGE
+        self._parameters = parameters_record(module.PARAMETERS, firmware.constants())
+        self._records: NDArray[Any] = np.zeros(0, dtype=module.STATE)
+        self._program: State = {}
+        self._shard = np.zeros(1, dtype=kernels.SHARD)
+        self._owned: list[NDArray[Any]] = []
+        self._outboxes: list[Outboxes] = []
+        self._current = 0
+        self._bound: tuple[ControllerState, Indices | None, Bools | None] | None = None
+        self._no_travel = np.zeros((links.cells, 2))
+        incoming = len(links.in_to)
+        self._nothing = np.zeros(incoming, dtype=np.bool_), self._bytes(np.zeros(incoming, dtype=self._line))
+
+    @property
+    def outbox(self) -> Outboxes:
+        """Messages of the last tick."""
+        return self._outboxes[self._current]
+
+    def is_bound(self, state: ControllerState, rows: Indices | None, outbox: Outboxes) -> bool:
+        """Whether these are the objects that the last step left, or that were bound since."""
+        bound = self._bound
+        return (
+            bound is not None
+            and bound[0] is state
+            and bound[1] is rows
+            and self._outboxes[self._current][0] is outbox[0]
+            and self._outboxes[self._current][1] is outbox[1]
+            and (self._debounce is None or bound[2] is self._debounce.memory[0])
+        )
+
+    def bind(self, state: ControllerState, rows: Indices | None, outbox: Outboxes) -> ControllerState:
+        """Put a state into the kernel's memory; ``outbox`` is copied.
+
+        Args:
+            state: Of the live cells.
+            rows: Their rows among the shard's cells; None: all live.
+            outbox: Messages of the last tick.
+
+        Returns:
+            The state, in that memory.
+        """
+        state, hardware = self._controller.own(state)
+        live, n = len(state.cells), self._cells
+        program = state.parts[PROGRAM]
+        if program is not self._program or len(self._records) != live:
+            self._records, self._program = state_records(self._module.STATE, program, live)
+            state = ControllerState(state.cells, {**state.parts, PROGRAM: self._program})
+        fields = dict[str, Any](cells=n, live=live, sensors=self._sensors, debounce_ticks=1)
+        fields |= {
+            "messages": self._controller.link_type is not None,
+            "slots": hardware.there.shape[1],
+            "links_out": len(self._links.out_from),
+        }
+        self._owned = []
+        self._bind_boards(fields, hardware)
+        self._bind_links(fields, rows, outbox)
+        self._bind_program(fields, live)
+        self._bind_sensors(fields)
+        for name, value in fields.items():
+            self._shard[name] = value
+        self._bound = (state, rows, None if self._debounce is None else self._debounce.memory[0])
+        return state
+
+    def step(
+        self, tick: int, now_ns: int, presence: Bools, encoder_m: Floats | None, links: Outboxes | None
+    ) -> TickResult | None:
+        """Step the live cells of the bound state.
+
+        Args:
+            tick: Of the exchange with the plant.
+            now_ns: When all cells read; unless they have clocks of their own.
+            presence: ``(n, sensors)``.
+            encoder_m: ``(n, 2)``; None without encoders.
+            links: Messages over the border; None: none.
+
+        Returns:
+            The result; None if nothing was done, since a watchdog resets a cell in this tick.
+        """
+        received, border = self._nothing
+        if links is not None and len(links[0]):
+            received, border = links[0], self._bytes(links[1])
+        drive = np.empty((self._cells, 2))
+        sent = np.empty(len(self._links.out_from), dtype=np.bool_)
+        message = np.empty(len(sent), dtype=self._line)
+        failures = self._module.tick(
+            tick, now_ns, self._current, self._shard, self._parameters, self._records, readable(presence),
+            self._no_travel if encoder_m is None else readable(encoder_m), received, border,
+            drive, sent, self._bytes(message),
+        )  # fmt: skip
+        if failures == kernels.RESETS:
+            return None
+        self._current ^= 1
+        if self._debounce is not None:
+            self._debounce.counters["bounces"] += int(self._shard["bounces"][0])
+            self._shard["bounces"] = 0
+        return TickResult(drive, sent, message, self._failed(tick) if failures else {})
+
+    def _failed(self, tick: int) -> dict[int, FirmwareFailed]:
+        assert self._bound is not None, "this is a bug: a step before a state was bound"
+        cells = self._bound[0].cells
+        return {
+            i: FirmwareFailed(
+                cells.name(i), tick, f"drive is not finite: speed {self._speed[i].tolist()} m/s"
+            )
+            for i in np.flatnonzero(self._not_finite).tolist()
+        }
+
+    def _bytes(self, messages: Messages) -> NDArray[np.uint8]:
+        """Messages of links as bytes, ``(l, size)``."""
+        return messages.view(np.uint8).reshape(len(messages), self._line.itemsize)
+
+    def _address(self, array: NDArray[Any]) -> int:
+        """Address of an array in one piece, kept alive until the next binding."""
+        assert array.flags.c_contiguous, "this is a bug: an array in pieces"
+        self._owned.append(array)
+        return array.ctypes.data
+
+    def _bind_boards(self, fields: dict[str, Any], hardware: Hardware) -> None:
+        boards, links, loops = self._controller.constants
+        arrays = {
+            "boards": boards,
+            "links": links,
+            "loops": loops,
+            "clocks": hardware.clocks,
+            "watches": hardware.watches,
+            "wheels": hardware.wheels,
+            "lines": hardware.cells,
+            "meters": hardware.meters,
+            "waiting": hardware.waiting,
+            "going": hardware.going,
+            "there": hardware.there,
+        }
+        fields |= {name: self._address(array) for name, array in arrays.items()}
+
+    def _bind_links(self, fields: dict[str, Any], rows: Indices | None, outbox: Outboxes) -> None:
+        n = self._cells
+        kept: Outboxes = (np.zeros(4 * n, dtype=np.bool_), np.zeros(4 * n, dtype=self._line))
+        if fields["messages"]:
+            kept[0][...], kept[1][...] = outbox
+        other: Outboxes = (np.zeros(4 * n, dtype=np.bool_), np.zeros(4 * n, dtype=self._line))
+        self._outboxes, self._current = [kept, other], 0
+        for i, (sent, message) in enumerate(self._outboxes):
+            fields[f"sent_{i}"], fields[f"outbox_{i}"] = self._address(sent), self._address(message)
+        fields["rows"] = self._address(np.arange(n) if rows is None else readable(rows))
+        fields["source"] = self._address(self._links.sources())
+        fields["border_from"] = self._address(readable(self._links.out_from))
+        fields["line_received"] = self._address(np.zeros(4, dtype=np.bool_))
+        fields["line"] = self._address(np.zeros(4, dtype=self._line))
+
+    def _bind_program(self, fields: dict[str, Any], live: int) -> None:
+        inputs = np.zeros(1, dtype=inputs_type(self._module.MESSAGE))
+        inputs["sensors"] = self._sensors
+        outputs = np.zeros(1, dtype=outputs_type(self._module.MESSAGE))
+        fields["inputs"] = self._address(inputs)
+        fields["inputs_received"] = inputs["received"].ctypes.data
+        fields["inputs_message"] = inputs["message"].ctypes.data
+        fields["outputs"] = self._address(outputs)
+        fields["outputs_sent"] = outputs["sent"].ctypes.data
+        fields["outputs_message"] = outputs["message"].ctypes.data
+        self._not_finite, self._speed = np.zeros(live, dtype=np.bool_), np.zeros((live, 2))
+        fields["failed"], fields["speed"] = self._address(self._not_finite), self._address(self._speed)
+
+    def _bind_sensors(self, fields: dict[str, Any]) -> None:
+        debounce = self._debounce
+        if debounce is None:
+            return
+        fields["debounce_ticks"] = debounce.ticks
+        fields["clock_period_ns"], fields["clock_window_ns"], ppb, phase_ns = debounce.clocks
+        fields["ppb"], fields["phase_ns"] = self._address(ppb), self._address(phase_ns)
+        believed, readings = debounce.memory
+        fields["believed"], fields["readings"] = self._address(believed), self._address(readings)
