@@ -154,13 +154,27 @@ class _Agent:
         self._inject: Final = inject
         self._failures: list[FirmwareFailed] = []
         self._reported: set[str] = set()
+        self._awaited = 0
+        self._inputs: TickInputs | Control | bytes | None = None
+        self._codec: Final = shard.payload_codec(member.layouts)
 
     async def run(self, loop: TransportEventLoop, first: int, watch: Watch | None) -> ShardResult:
         """Run ticks from ``first`` on."""
         tick, live = first, np.ones(len(self._shard), dtype=np.bool_)
         while True:
             inputs = await self._gather(loop, tick)
-            if isinstance(inputs, Control):
+            done: ShardOutputs | None = None
+            if isinstance(inputs, bytes):
+                assert self._codec is not None, "this is a bug: a payload without a codec"
+                answer = self._shard.step_payload(self._codec, tick, inputs)
+                if isinstance(answer, bytes):
+                    self._member.answer(answer)
+                    tick += 1
+                    continue
+                done = answer
+                self._member.gather_again(inputs)
+                inputs = await self._gather(loop, tick)
+            if not isinstance(inputs, tuple):
                 break
             self._apply_faults()
             try:
@@ -170,7 +184,7 @@ class _Agent:
                         cells = zip(self._shard.cells, live, strict=True)
                         self._shard.retire(cell for cell, lives in cells if not lives)
                 with nullcontext() if watch is None else watch:
-                    outputs = self._step(tick, inputs)
+                    outputs = self._step(tick, inputs) if done is None else done
             except BaseException as error:  # noqa: BLE001 - whatever comes out of a step is its cells' failure
                 self._fail(tick, failures_of(self._shard, tick, error))
             else:
@@ -178,20 +192,23 @@ class _Agent:
                     return self._result(tick - first, "a program did not return in time")
                 self._publish(tick, outputs)
             tick += 1
+        assert isinstance(inputs, Control), "this is a bug: a payload for a tick that is no plain one"
         return self._result(tick - first, inputs.detail)
 
-    async def _gather(self, loop: TransportEventLoop, tick: int) -> TickInputs | Control:
-        """Return the inputs of a tick, or a stop record."""
-        found: list[TickInputs | Control] = []
+    async def _gather(self, loop: TransportEventLoop, tick: int) -> TickInputs | Control | bytes:
+        """Return the inputs of a tick, a stop record, or the senses' payload where the shard takes payloads."""
+        self._awaited = tick
+        await loop.poll_until(self._poll)
+        assert self._inputs is not None, "this is a bug: a wait that ended without inputs"
+        return self._inputs
 
-        def poll(timeout_s: float | None) -> bool:
-            inputs = self._member.gather(tick, timeout_s)
-            if inputs is not None:
-                found.append(inputs)
-            return inputs is not None
-
-        await loop.poll_until(poll)
-        return found[0]
+    def _poll(self, timeout_s: float | None) -> bool:
+        """Gather the inputs of the tick awaited; return whether there are any."""
+        tick, member = self._awaited, self._member
+        self._inputs = member.take_payload(tick) if self._codec is not None and timeout_s is None else None
+        if self._inputs is None:
+            self._inputs = member.gather(tick, timeout_s)
+        return self._inputs is not None
 
     def _result(self, ticks: int, detail: str) -> ShardResult:
         return ShardResult(ticks, detail, tuple(self._failures))

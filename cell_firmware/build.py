@@ -134,7 +134,7 @@ def kernel_modules(controller: Controller, effects: CellEffects) -> tuple[str, .
         if has_hardware(controller):
             modules.append("cell_firmware.kernels.board")
         if inside.firmware.kernels and has_kernels(controller):
-            modules.append(inside.firmware.kernels)
+            modules += ["cell_firmware.kernels.payload", inside.firmware.kernels]
     if effects.sensor is not None and effects.sensor.debounce_ticks > 1:
         modules.append("cell_firmware.kernels.debounce")
     return tuple(modules)

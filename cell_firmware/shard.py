@@ -14,6 +14,7 @@ from bus.errors import StateError
 from bus.partition import Partition
 from bus.sensors import CameraFrame, Labels
 from bus.state import StateFields
+from bus.wire.fixed_layout import PayloadLayout
 from cell_firmware.board import has_kernels
 from cell_firmware.controller import Controller, ControllerState, StepTime, read_only
 from cell_firmware.effects.base import InputFilter
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
     from bus.lattice import Lattice
     from cell_firmware.effects.base import ShardContext
     from cell_firmware.faults.base import CellFault
-    from cell_firmware.shard_kernel import ShardKernel
+    from cell_firmware.payload_codec import PayloadCodec
+    from cell_firmware.shard_kernel import ShardKernel, TickResult
 
 _EVERY: Final = slice(None)
 FAULTS: Final = "faults"
@@ -118,10 +120,26 @@ class Shard:
         self._tick = -1
         self._drive = np.zeros((self._n, 2))
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
-        self._outgoing = np.zeros(self._n * 4, dtype=self._message or np.bool_)
+        self._outgoing: Messages = np.zeros(self._n * 4, dtype=self._message or np.bool_)
 
         self._links = ShardLinks.of(partition, shard)
-        self._controller, self._kernel = _compiled(controller, self._links, self._stages, cells.sensors)
+        self._controller, self._kernel = self._compiled(controller, cells.sensors)
+
+    def _compiled(self, controller: Controller, sensors: int) -> tuple[Controller, ShardKernel | None]:
+        """Return the compiled form of a controller, and the kernel of the shard's ticks; None without one.
+
+        No kernels are loaded where there is nothing to compile.
+        """
+        if not has_kernels(controller):
+            return controller, None
+        from cell_firmware.compiled import CompiledController, compiled
+
+        controller = compiled(controller)
+        if not isinstance(controller, CompiledController):
+            return controller, None
+        from cell_firmware.shard_kernel import shard_kernel
+
+        return controller, shard_kernel(controller, self._links, self._stages, sensors, self._period_ns)
 
     @property
     def message(self) -> np.dtype[np.void] | None:
@@ -190,6 +208,48 @@ class Shard:
         self._drive = drive
         return ShardOutputs(drive, self.boundary_links, failures, hung)
 
+    def payload_codec(self, layouts: tuple[PayloadLayout, PayloadLayout] | None) -> PayloadCodec | None:
+        """Return the codec of the payloads that ``step_payload`` takes and returns; None if it takes none.
+
+        Args:
+            layouts: Of the shard's only payload each way in a tick; None: there are others.
+        """
+        if self._kernel is None or layouts is None:
+            return None
+        from cell_firmware.payload_codec import PayloadCodec
+
+        return PayloadCodec(*layouts, self._kernel.buffers)
+
+    def step_payload(self, codec: PayloadCodec, tick: int, payload: bytes) -> bytes | ShardOutputs | None:
+        """Step all cells by one control period, from payload to payload.
+
+        Args:
+            codec: Of ``payload_codec``.
+            tick: The tick: one more than the last.
+            payload: The senses.
+
+        Returns:
+            The drives; or the outputs, where programs failed; or None where nothing was done: ``step`` takes what
+            came, since the payload is no such one or a watchdog resets a cell.
+        """
+        kernel, outbox = self._kernel, (self._sent, self._outgoing)
+        if kernel is None or tick != self._tick + 1:
+            return None
+        if not kernel.is_bound(self._state, self._active, outbox):
+            self._state = kernel.bind(self._state, self._active, outbox)
+            self._sent, self._outgoing = kernel.outbox
+        if not codec.read(tick, payload):
+            return None
+        failures = kernel.run(tick)
+        if failures is None:
+            return None
+        self._tick = tick
+        self._sent, self._outgoing = kernel.outbox
+        self._drive = kernel.buffers.drive
+        if failures:
+            return self._finish(kernel, kernel.result(failures))
+        return codec.write(tick)
+
     def _step_by_kernel(
         self, kernel: ShardKernel, presence: Bools, encoder_m: Floats | None, links: BoundaryMessages | None
     ) -> ShardOutputs | None:
@@ -198,10 +258,12 @@ class Shard:
         if not kernel.is_bound(self._state, self._active, outbox):
             self._state = kernel.bind(self._state, self._active, outbox)
         received = None if links is None else (links.sent, links.message)
-        done = kernel.step(self._tick, self._tick * self._period_ns, presence, encoder_m, received)
+        done = kernel.step(self._tick, presence, encoder_m, received)
         self._sent, self._outgoing = kernel.outbox
-        if done is None:
-            return None
+        return None if done is None else self._finish(kernel, done)
+
+    def _finish(self, kernel: ShardKernel, done: TickResult) -> ShardOutputs:
+        """Return the outputs of a tick by the kernel, and retire cells whose programs failed for good."""
         self._drive = done.drive
         border = None if self._message is None else BoundaryMessages(done.sent, done.message)
         failures = tuple(done.failures[i] for i in sorted(done.failures))
@@ -352,25 +414,6 @@ class Shard:
 def _arrays(parts: Mapping[str, State]) -> dict[str, int]:
     """Return the number of rows of each array of a state, by name."""
     return {f"{part}.{name}": len(array) for part, state in parts.items() for name, array in state.items()}
-
-
-def _compiled(
-    controller: Controller, links: ShardLinks, filters: Sequence[InputFilter], sensors: int
-) -> tuple[Controller, ShardKernel | None]:
-    """Return the compiled form of a controller, and the kernel of its shard's ticks; None without one.
-
-    No kernels are loaded where there is nothing to compile.
-    """
-    if not has_kernels(controller):
-        return controller, None
-    from cell_firmware.compiled import CompiledController, compiled
-
-    controller = compiled(controller)
-    if not isinstance(controller, CompiledController):
-        return controller, None
-    from cell_firmware.shard_kernel import shard_kernel
-
-    return controller, shard_kernel(controller, links, filters, sensors)
 
 
 def _links(count: int, message: np.dtype[Any]) -> BoundaryMessages:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from cell_firmware.shard_links import Indices, ShardLinks
 Outboxes = tuple[Bools, Messages]
 """Whether a slot has a message, ``(4 n,)``, and the messages, ``(4 n,)`` of the type of links."""
 
+_NO_FAILURES: Final[Mapping[int, FirmwareFailed]] = {}
+
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,62 @@ class TickResult:
     failures: Mapping[int, FirmwareFailed]
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class TickBuffers:
+    """Inputs and outputs of a shard's tick, in one place for all ticks.
+
+    Attributes:
+        presence: ``(n, sensors)``.
+        encoder_m: ``(n, 2)``.
+        received: ``(l,)``, whether a message came over a link of the border, ...
+        border: ... and ``(l,)``, these messages.
+        drive: ``(n, 2)``.
+        sent: ``(m,)``, whether a message leaves over a link of the border, ...
+        message: ... and ``(m,)``, these messages.
+    """
+
+    presence: Bools
+    encoder_m: Floats
+    received: Bools
+    border: Messages
+    drive: Floats
+    sent: Bools
+    message: Messages
+
+    @staticmethod
+    def of(links: ShardLinks, line: np.dtype[Any], sensors: int) -> TickBuffers:
+        """Return the buffers of a shard."""
+        n, incoming, outgoing = links.cells, len(links.in_to), len(links.out_from)
+        return TickBuffers(
+            np.zeros((n, sensors), dtype=np.bool_),
+            np.zeros((n, 2)),
+            np.zeros(incoming, dtype=np.bool_),
+            np.zeros(incoming, dtype=line),
+            np.zeros((n, 2)),
+            np.zeros(outgoing, dtype=np.bool_),
+            np.zeros(outgoing, dtype=line),
+        )
+
+    def by_name(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays by their names in ``kernels.SHARD``."""
+        return {
+            "bits": self.presence,
+            "encoder_m": self.encoder_m,
+            "border_received": self.received,
+            "border": self.border,
+            "drive": self.drive,
+            "border_sent": self.sent,
+            "border_out": self.message,
+        }
+
+
 def shard_kernel(
-    controller: CompiledController, links: ShardLinks, filters: Sequence[InputFilter], sensors: int
+    controller: CompiledController,
+    links: ShardLinks,
+    filters: Sequence[InputFilter],
+    sensors: int,
+    period_ns: int,
 ) -> ShardKernel | None:
     """Return the kernel of a shard; None if its program is not in scalar form, or for filters but debouncing.
 
@@ -54,13 +110,15 @@ def shard_kernel(
         links: Links of the shard.
         filters: Filters of the inputs, in order of application.
         sensors: Presence sensors of a cell.
+        period_ns: Time from one exchange to the next.
     """
     debouncing = [one for one in filters if isinstance(one, Debounce)]
     if not isinstance(controller.firmware, ScalarFirmware) or len(debouncing) < len(filters):
         return None
     if len(debouncing) > 1:
         return None
-    return ShardKernel(controller, controller.firmware, links, debouncing[0] if debouncing else None, sensors)
+    debounce = debouncing[0] if debouncing else None
+    return ShardKernel(controller, controller.firmware, links, debounce, sensors, period_ns)
 
 
 @final
@@ -75,8 +133,10 @@ class ShardKernel:
         links: Links of the shard.
         debounce: Debouncing of presence bits; None: bits are taken as they are.
         sensors: Presence sensors of a cell.
+        period_ns: Time from one exchange to the next, at which all cells read; unless they have clocks of their own.
 
     Attributes:
+        buffers: Inputs and outputs of a tick.
         hangs: Whether a cell whose program fails hangs, to be reset by its watchdog.
     """
 
@@ -87,30 +147,29 @@ class ShardKernel:
         links: ShardLinks,
         debounce: Debounce | None,
         sensors: int,
+        period_ns: int,
     ) -> None:
         module = self._module = kernels_of(firmware)
         self.hangs = controller.hangs
         self._controller = controller
         self._links = links
-        self._cells, self._sensors = links.cells, sensors
+        self._cells, self._sensors, self._period_ns = links.cells, sensors, period_ns
         self._debounce = debounce
         self._line = controller.link_type or NO_MESSAGE
         self._parameters = parameters_record(module.PARAMETERS, firmware.constants())
         self._records: NDArray[Any] = np.zeros(0, dtype=module.STATE)
         self._program: State = {}
         self._shard = np.zeros(1, dtype=kernels.SHARD)
+        self._current: Indices = self._shard["current"]
         self._owned: list[NDArray[Any]] = []
         self._outboxes: list[Outboxes] = []
-        self._current = 0
         self._bound: tuple[ControllerState, Indices | None, Bools | None] | None = None
-        self._no_travel = np.zeros((links.cells, 2))
-        incoming = len(links.in_to)
-        self._nothing = np.zeros(incoming, dtype=np.bool_), self._bytes(np.zeros(incoming, dtype=self._line))
+        self.buffers = TickBuffers.of(links, self._line, sensors)
 
     @property
     def outbox(self) -> Outboxes:
         """Messages of the last tick."""
-        return self._outboxes[self._current]
+        return self._outboxes[int(self._current[0])]
 
     def is_bound(self, state: ControllerState, rows: Indices | None, outbox: Outboxes) -> bool:
         """Whether these are the objects that the last step left, or that were bound since."""
@@ -119,8 +178,7 @@ class ShardKernel:
             bound is not None
             and bound[0] is state
             and bound[1] is rows
-            and self._outboxes[self._current][0] is outbox[0]
-            and self._outboxes[self._current][1] is outbox[1]
+            and self.outbox[0] is outbox[0]
             and (self._debounce is None or bound[2] is self._debounce.memory[0])
         )
 
@@ -145,26 +203,29 @@ class ShardKernel:
         fields |= {
             "messages": self._controller.link_type is not None,
             "slots": hardware.there.shape[1],
+            "links_in": len(self._links.in_to),
             "links_out": len(self._links.out_from),
+            "period_ns": self._period_ns,
+            "bounces": 0,
         }
         self._owned = []
         self._bind_boards(fields, hardware)
         self._bind_links(fields, rows, outbox)
         self._bind_program(fields, live)
         self._bind_sensors(fields)
+        fields |= {name: self._address(array) for name, array in self.buffers.by_name().items()}
         for name, value in fields.items():
             self._shard[name] = value
         self._bound = (state, rows, None if self._debounce is None else self._debounce.memory[0])
         return state
 
     def step(
-        self, tick: int, now_ns: int, presence: Bools, encoder_m: Floats | None, links: Outboxes | None
+        self, tick: int, presence: Bools, encoder_m: Floats | None, links: Outboxes | None
     ) -> TickResult | None:
         """Step the live cells of the bound state.
 
         Args:
             tick: Of the exchange with the plant.
-            now_ns: When all cells read; unless they have clocks of their own.
             presence: ``(n, sensors)``.
             encoder_m: ``(n, 2)``; None without encoders.
             links: Messages over the border; None: none.
@@ -172,24 +233,38 @@ class ShardKernel:
         Returns:
             The result; None if nothing was done, since a watchdog resets a cell in this tick.
         """
-        received, border = self._nothing
-        if links is not None and len(links[0]):
-            received, border = links[0], self._bytes(links[1])
-        drive = np.empty((self._cells, 2))
-        sent = np.empty(len(self._links.out_from), dtype=np.bool_)
-        message = np.empty(len(sent), dtype=self._line)
-        failures = self._module.tick(
-            tick, now_ns, self._current, self._shard, self._parameters, self._records, readable(presence),
-            self._no_travel if encoder_m is None else readable(encoder_m), received, border,
-            drive, sent, self._bytes(message),
-        )  # fmt: skip
+        buffers = self.buffers
+        buffers.presence[...] = presence
+        if encoder_m is not None:
+            buffers.encoder_m[...] = encoder_m
+        if links is None:
+            buffers.received[...] = False
+        else:
+            buffers.received[...], buffers.border[...] = links
+        failures = self.run(tick)
+        return None if failures is None else self.result(failures)
+
+    def result(self, failures: Mapping[int, FirmwareFailed]) -> TickResult:
+        """Return a copy of the buffers' outputs."""
+        buffers = self.buffers
+        return TickResult(buffers.drive.copy(), buffers.sent.copy(), buffers.message.copy(), failures)
+
+    def run(self, tick: int) -> Mapping[int, FirmwareFailed] | None:
+        """Step the live cells of the bound state, from and to the buffers.
+
+        Args:
+            tick: Of the exchange with the plant.
+
+        Returns:
+            Failures by row of the cell among the live ones; None if nothing was done, since a watchdog resets a cell in
+            this tick.
+        """
+        failures, bounces = self._module.tick(tick, self._shard)
         if failures == kernels.RESETS:
             return None
-        self._current ^= 1
-        if self._debounce is not None:
-            self._debounce.counters["bounces"] += int(self._shard["bounces"][0])
-            self._shard["bounces"] = 0
-        return TickResult(drive, sent, message, self._failed(tick) if failures else {})
+        if bounces and self._debounce is not None:
+            self._debounce.counters["bounces"] += bounces
+        return self._failed(tick) if failures else _NO_FAILURES
 
     def _failed(self, tick: int) -> dict[int, FirmwareFailed]:
         assert self._bound is not None, "this is a bug: a step before a state was bound"
@@ -200,10 +275,6 @@ class ShardKernel:
             )
             for i in np.flatnonzero(self._not_finite).tolist()
         }
-
-    def _bytes(self, messages: Messages) -> NDArray[np.uint8]:
-        """Messages of links as bytes, ``(l, size)``."""
-        return messages.view(np.uint8).reshape(len(messages), self._line.itemsize)
 
     def _address(self, array: NDArray[Any]) -> int:
         """Address of an array in one piece, kept alive until the next binding."""
@@ -234,7 +305,7 @@ class ShardKernel:
         if fields["messages"]:
             kept[0][...], kept[1][...] = outbox
         other: Outboxes = (np.zeros(4 * n, dtype=np.bool_), np.zeros(4 * n, dtype=self._line))
-        self._outboxes, self._current = [kept, other], 0
+        self._outboxes, fields["current"] = [kept, other], 0
         for i, (sent, message) in enumerate(self._outboxes):
             fields[f"sent_{i}"], fields[f"outbox_{i}"] = self._address(sent), self._address(message)
         fields["rows"] = self._address(np.arange(n) if rows is None else readable(rows))
@@ -253,6 +324,7 @@ class ShardKernel:
         fields["outputs"] = self._address(outputs)
         fields["outputs_sent"] = outputs["sent"].ctypes.data
         fields["outputs_message"] = outputs["message"].ctypes.data
+        fields["parameters"], fields["states"] = self._address(self._parameters), self._address(self._records)
         self._not_finite, self._speed = np.zeros(live, dtype=np.bool_), np.zeros((live, 2))
         fields["failed"], fields["speed"] = self._address(self._not_finite), self._address(self._speed)
 

@@ -89,6 +89,11 @@ class ControlState:
                 self.unanswered.difference_update(cells)
         self._counts.delivered += 1
 
+    @property
+    def has_faults(self) -> bool:
+        """Whether fault records wait for ``drain_faults``."""
+        return bool(self._faults)
+
     def drain_faults(self) -> list[Control]:
         """Return fault records received since the last call, and clear them."""
         if not self._faults:

@@ -21,7 +21,8 @@ from bus.lockstep.snapshots import SnapshotPublisher
 from bus.partition import Partition
 from bus.sensors import SensorSchema
 from bus.spec import StallSpec
-from bus.transports.base import Endpoint
+from bus.transports.base import Endpoint, Received
+from bus.wire.fixed_layout import PayloadLayout
 from bus.wire.format import ParticipantCodec, RunSchema
 from bus.wire.formats import FORMATS, WireFormat
 from bus.wire.frames import Control, DriveFrame, LinkFrame, Mask
@@ -94,8 +95,9 @@ class Participant:
         self._tick = 0
         self._answer_until = 0.0
         self._declared: list[str] = []
-        lives = Membership(len(partition.lattice))
+        lives = self._lives = Membership(len(partition.lattice))
         self._incoming = InboundFrames(wiring, shard, self._form, lives, self.counters)
+        self._only_key = self._incoming.single_key
         self._outgoing = OutboundFrames(endpoint, wiring, shard, self._form, lives)
         self._membership = ParticipantMembership(
             partition.cells(shard), lives, self._incoming, self._outgoing, self.counters
@@ -228,20 +230,22 @@ class Participant:
             CoordinatorLostError: The plant is lost, or was silent for ``silence_s``.
             WaitInterrupted: ``endpoint.wake`` was called; the call may be repeated.
         """
+        # In a process of a single cell each call of a tick costs several times its usual time: nothing is in the
+        # processor's caches by then.
         self._tick = tick
         control, membership = self._control, self._membership
         if control.rejoins_offered:
             control.rejoins_offered = [offer for offer in control.rejoins_offered if not self._offer(offer)]
         sense, links = self._incoming.slots(tick)
-        until = self._deadline(timeout_s)
-        limits = [limit for limit in (until, self._deadline(self._silence_s)) if limit is not None]
+        until = None if timeout_s is None else self._clock() + timeout_s
+        silent_until = None if self._silence_s is None else self._clock() + self._silence_s
         read = self._inbox.poll
         while True:
             waits = sense.missing > 0
             missing = waits or (links is not None and links.missing > 0)
             if control.stop is not None:
                 return control.stop
-            if membership.none_live(tick):
+            if not self._lives.unchanged and membership.none_live(tick):
                 # The token must not go before the report has come: the plant would take the cells' process for dead.
                 left = self._answer_until - self._clock()
                 if not control.unanswered or control.plant_lost or left <= 0:
@@ -254,18 +258,18 @@ class Participant:
                 return self._incoming.collect(tick)
             if control.plant_lost:
                 raise CoordinatorLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
-            left = max(min(limits) - self._clock(), 0.0) if limits else None
+            left, limit = None, until if silent_until is None or until is None else min(until, silent_until)
+            limit = silent_until if limit is None else limit
+            if limit is not None:
+                left = max(limit - self._clock(), 0.0)
             # Messages end no wait for senses. One that comes after the senses is waited for by its key.
             key = None if waits else self._incoming.awaited_key(tick - 1)
             if not read(left, max(sense.missing, 1), key) and left == 0:
-                if until == min(limits):
+                if until == limit:
                     return None
                 raise CoordinatorLostError(
                     f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
                 )
-
-    def _deadline(self, after_s: float | None) -> float | None:
-        return None if after_s is None else self._clock() + after_s
 
     def _offer(self, joining: Control) -> bool:
         """Report that rejoining cells can be sent to; False if they can't yet."""
@@ -289,9 +293,62 @@ class Participant:
         """
         puts = self._outgoing.encode(drive, links)
         self.counters.sent += len(puts)
-        if self._membership.none_live(drive.tick + 1):
+        if not self._lives.unchanged and self._membership.none_live(drive.tick + 1):
             self._reports.publish_counters(self._tick)
         self._endpoint.put_all(puts)
+
+    # --- a tick in which nothing but its payload is handled ----------------------------------------
+
+    @property
+    def layouts(self) -> tuple[PayloadLayout, PayloadLayout] | None:
+        """Layouts of the shard's only payload each way in a tick; None where ``take_payload`` has none."""
+        return self._incoming.single_layouts
+
+    def take_payload(self, tick: int) -> bytes | None:
+        """Wait for the sense payload of a tick, where the tick is like nearly all: nothing else is to be handled.
+
+        Args:
+            tick: As of ``gather``.
+
+        Returns:
+            The payload, to be answered by ``answer`` or handed back by ``gather_again``; None: call ``gather``.
+
+        Raises:
+            WaitInterrupted: ``endpoint.wake`` was called; the call may be repeated.
+        """
+        if not self._is_plain(tick):
+            return None
+        self._tick = tick
+        events = self._endpoint.receive_all(None)
+        if len(events) == 1 and type(events[0]) is Received and events[0].key == self._only_key:
+            return events[0].payload
+        self._inbox.handle(events)
+        return None
+
+    def answer(self, payload: bytes) -> None:
+        """Publish the drive payload of the tick whose sense payload was taken last."""
+        self._incoming.skip()
+        self.counters.sent += 1
+        self._endpoint.put_all(((self._outgoing.single, payload),))
+
+    def gather_again(self, payload: bytes) -> None:
+        """Hand a payload back, for ``gather`` to find."""
+        self._inbox.handle((Received(self._only_key, payload),))
+
+    def _is_plain(self, tick: int) -> bool:
+        """Whether a tick needs no more than its payload, as far as is known before it."""
+        control = self._control
+        return (
+            self._lives.unchanged
+            and self._silence_s is None
+            and control.stop is None
+            and not control.plant_lost
+            and not control.rejoins_offered
+            and control.snapshot_tick <= tick
+            and not control.has_faults
+            and self._registers.idle
+            and self._incoming.untouched(tick)
+        )
 
     def publish_snapshot(self, tick: int, read: Callable[[], bytes]) -> None:
         """Publish the shard's snapshot before ``tick`` if the plant requested one.
@@ -330,7 +387,7 @@ class Participant:
     @property
     def unchanged(self) -> bool:
         """Whether no cell of the run ever died: masks of live cells can be skipped."""
-        return self._membership.unchanged
+        return self._lives.unchanged
 
     def live(self, tick: int) -> Mask:
         """Return the mask of the shard's cells that are live in ``tick``, ``(n,)``."""

@@ -9,7 +9,7 @@ from bus.errors import WaitInterrupted, WireError
 from bus.lattice import NO_TICK_LIMIT
 from bus.lockstep.counters import MessageCounters
 from bus.partition import Partition
-from bus.transports.base import Endpoint, LivelinessChange, Received
+from bus.transports.base import Endpoint, Event, LivelinessChange, Received
 from bus.wire.keys import owner_of
 
 EARLY_TICKS: Final = 64
@@ -172,6 +172,16 @@ class FrameAssembler:
                 slot.values[part] = self._blank[part]
                 slot.have[part] = 0
 
+    @property
+    def untouched(self) -> bool:
+        """Whether nothing has arrived of the frame of ``now`` or of later ones, and no sender ever died."""
+        return not self._early and not self._deaths and self._current.missing == len(self.end_tick)
+
+    def skip(self, parts: int) -> None:
+        """Close the frame of ``now``, whose ``parts`` the caller has received by itself; it was ``untouched``."""
+        self.now += 1
+        self._counts.delivered += parts
+
     def _recount(self) -> None:
         self._deaths = True
         for tick in (self.now, *self._early):
@@ -231,6 +241,15 @@ class Dispatcher:
             WaitInterrupted: ``Endpoint.wake`` was called; all other events have been handled.
         """
         events = self._receive(timeout_s, min(enough, BATCH), quiet_key)
+        self.handle(events)
+        return bool(events)
+
+    def handle(self, events: Iterable[Event]) -> None:
+        """Handle events.
+
+        Raises:
+            WaitInterrupted: There was a wakeup; all other events have been handled.
+        """
         wakeups = 0
         for event in events:
             if type(event) is Received:
@@ -247,7 +266,6 @@ class Dispatcher:
                 wakeups += 1
         if wakeups:
             raise WaitInterrupted("woken while waiting for the others", wakeups)
-        return bool(events)
 
 
 def _refuse(part: int, payload: bytes) -> None:  # noqa: ARG001 - as every route

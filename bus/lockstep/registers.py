@@ -219,6 +219,11 @@ class RegisterPublisher:
         self._clock = clock
         self._next_poll = 0.0
 
+    @property
+    def idle(self) -> bool:
+        """Whether ``publish`` has nothing to do: nothing is requested, and it is not time to look for observers."""
+        return not self.requests and self._clock() < self._next_poll
+
     def publish(self, tick: int, read: Callable[[], Own]) -> None:
         """Publish the registers after ``tick`` if the plant or another observer requests them.
 
@@ -226,7 +231,7 @@ class RegisterPublisher:
             tick: The tick just computed.
             read: Returns the registers; called only if they are requested.
         """
-        wanted = requested_at(self.requests, tick)
+        wanted = requested_at(self.requests, tick) if self.requests else None
         if (wanted is None or wanted.names is not None) and self._watched():
             wanted = RegisterRequest(1)
         if wanted is None:

@@ -14,6 +14,7 @@ from bus.lockstep.intervals import Membership
 from bus.lockstep.receive import FrameAssembler, PartialFrame, Route
 from bus.partition import Index
 from bus.transports.base import Endpoint, Publisher
+from bus.wire.fixed_layout import PayloadLayout
 from bus.wire.format import ParticipantCodec, RunSchema
 from bus.wire.frames import DriveFrame, LinkFrame, Mask, SenseFrame
 
@@ -57,6 +58,8 @@ class InboundFrames:
         self._counts = counts
         self._cells = wiring.partition.cells(shard)
         self._speaks = wiring.message is not None
+        self._apart = self._speaks and bool(form.in_parts)
+        """Whether messages come in payloads of their own."""
         self._link_keys = tuple(form.in_parts)
         self._first = 0
         self._senses = FrameAssembler("sense", form.blank_senses, form.decode_sense, counts)
@@ -80,12 +83,12 @@ class InboundFrames:
     def slots(self, tick: int) -> tuple[PartialFrame, PartialFrame | None]:
         """Return the partial frames of the tick's senses and of the previous tick's messages; None without messages."""
         # At its first tick nobody has sent it anything.
-        links = None if not self._speaks or tick == self._first else self._links.slot(tick - 1)
+        links = None if not self._apart or tick == self._first else self._links.slot(tick - 1)
         return self._senses.slot(tick), links
 
     def received_count(self, tick: int) -> int:
         """Return the number of payloads received, without messages sent in ``tick`` or later."""
-        return self._counts.delivered - (self._links.early(tick) if self._speaks else 0)
+        return self._counts.delivered - (self._links.early(tick) if self._apart else 0)
 
     def collect(self, tick: int) -> TickInputs:
         """Close a tick and return its inputs."""
@@ -99,11 +102,30 @@ class InboundFrames:
         sense = SenseFrame(tick, *senses)
         if not self._speaks:
             return TickInputs(sense, None)
+        values = self._form.blank_links
         if tick == self._first:
-            values, sensed = self._form.blank_links, self._form.blank_senses
-        else:
+            sensed = self._form.blank_senses
+        elif self._apart:
             values = self._links.close(tick - 1).values
         return TickInputs(sense, LinkFrame(tick - 1, *self._form.join_links(values, sensed)))
+
+    @property
+    def single_layouts(self) -> tuple[PayloadLayout, PayloadLayout] | None:
+        """Layouts of the shard's only payload each way in a tick; None if there are others."""
+        return self._form.layouts
+
+    @property
+    def single_key(self) -> str:
+        """Key of the first unit's senses."""
+        return next(iter(self._form.sense_units))
+
+    def untouched(self, tick: int) -> bool:
+        """Whether nothing of ``tick`` or later has arrived, and the tick is not the shard's first."""
+        return tick == self._senses.now and tick != self._first and self._senses.untouched
+
+    def skip(self) -> None:
+        """Close a tick whose only payload the caller has received by itself."""
+        self._senses.skip(1)
 
     # --- intervals and sources ------------------------------------------------------------------
 
@@ -203,6 +225,7 @@ class OutboundFrames:
         self.publishers = dict(
             zip((*form.drive_keys, *form.out_keys), (*self._drive, *self._out), strict=True)
         )
+        self._single = form.relays and len(self._drive) == 1
         self._drive_until = [NO_TICK_LIMIT] * len(self._drive)
         self._out_until = self._target_until = [NO_TICK_LIMIT] * len(self._out)
 
@@ -241,6 +264,11 @@ class OutboundFrames:
         return self._encode_links(self._from_live(links))
 
     def _encode(self, drive: DriveFrame, links: LinkFrame | None) -> list[tuple[Publisher, bytes]]:
+        if self._single and self._membership.unchanged:
+            try:
+                return [(self._drive[0], self._form.drive_payloads(drive, links)[0])]
+            except WireError:
+                raise self._not_finite(drive) from None
         links = None if links is None else self._from_live(links)
         puts = [] if links is None else self._encode_links(links)
         try:
@@ -271,6 +299,11 @@ class OutboundFrames:
             source > tick and target > tick + 1
             for source, target in zip(self._out_until, self._target_until, strict=True)
         ]
+
+    @property
+    def single(self) -> Publisher:
+        """Publisher of the first unit's drives."""
+        return self._drive[0]
 
     def _check(self, drive: DriveFrame, links: LinkFrame | None) -> None:
         values = drive.drive

@@ -36,6 +36,11 @@ class _Selector(selectors.DefaultSelector):
         return super().select(timeout)
 
 
+def _never(timeout_s: float | None) -> None:
+    """Stand for a wait that is not the selector's."""
+    raise AssertionError(f"this is a bug: a selector waits for {timeout_s} s while a coroutine does")
+
+
 @final
 class TransportEventLoop(asyncio.SelectorEventLoop):
     """Event loop that waits in a transport while a coroutine awaits ``poll_until``.
@@ -66,6 +71,8 @@ class TransportEventLoop(asyncio.SelectorEventLoop):
         Raises:
             WaitInterrupted: The endpoint was woken, and not for a callback of this loop.
         """
+        if self._poll_at_once(poll):
+            return
         over: asyncio.Future[None] = self.create_future()
 
         def wait(timeout_s: float | None) -> None:
@@ -85,6 +92,27 @@ class TransportEventLoop(asyncio.SelectorEventLoop):
             await over
         finally:
             self._idle.wait = None
+
+    def _poll_at_once(self, poll: Callable[[float | None], bool]) -> bool:
+        """Call ``poll`` without a turn of the loop where the loop has nothing else to do; False if it has.
+
+        The loop would go idle and call it then. A turn costs as much as the wait itself.
+
+        Raises:
+            WaitInterrupted: As ``poll_until``.
+        """
+        own = vars(self)  # where asyncio keeps callbacks that are due, and timers
+        self._idle.wait = _never  # from here on callbacks of other threads end the wait
+        try:
+            while not own["_ready"] and not own["_scheduled"]:
+                if poll(None):
+                    return True
+        except WaitInterrupted as error:
+            if not self._are_own(error.wakeups):
+                raise
+        finally:
+            self._idle.wait = None
+        return False
 
     def call_soon_threadsafe(
         self, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None

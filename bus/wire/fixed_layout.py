@@ -37,6 +37,20 @@ FieldLayout = str | tuple[str, ...] | int | Binary | None
 """Layout of a field: a number, a list of numbers, a list of so many booleans, bytes, or nil; ``"?"``: a boolean."""
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class PayloadLayout:
+    """Positions of the values in one kind of payload.
+
+    Attributes:
+        constant: The payload with zeros in the place of values.
+        places: For each field and ``tick``, its first byte and number of bytes.
+    """
+
+    constant: bytes
+    places: Mapping[str, tuple[int, int]]
+
+
 Decode = Callable[[int, bytes], tuple[int, Any]]
 """From the part of a frame and any payload to its tick and value, or WireError."""
 
@@ -57,9 +71,11 @@ class FixedLayoutCodec:
 
     def __init__(self, places: Mapping[str, FieldLayout]) -> None:
         between, values, self._booleans = _layout(places)
+        self._values = values
         words = [f"{len(text)}s{value}" for text, value in zip(between, [*values, ""], strict=True)]
         self._layout = struct.Struct(">" + "".join(words))
         self._between = tuple(between)
+        self._names = ["tick", *(name for name, place in places.items() if place is not None)]
         self._parts: list[Any] = [b""] * (2 * len(values) + 1)
         self._parts[::2] = between
 
@@ -74,6 +90,18 @@ class FixedLayoutCodec:
                 parts[i] = parts[i].translate(_TO_WIRE)
             payloads.append(pack(*parts))
         return payloads
+
+    def layout(self) -> PayloadLayout:
+        """Positions of the values; of payloads all of whose fields are ``Binary`` or nil."""
+        at, constant, places = 0, b"", dict[str, tuple[int, int]]()
+        sizes = [struct.calcsize(f">{value}") for value in self._values]
+        for text, name, size in zip(self._between, [*self._names, ""], [*sizes, 0], strict=True):
+            constant += text + bytes(size)
+            at += len(text)
+            if name:
+                places[name] = (at, size)
+            at += size
+        return PayloadLayout(constant, places)
 
     def decoder(self, make: Callable[..., Any], other: Decode) -> Decode:
         """Return a decoder of payloads in this layout.

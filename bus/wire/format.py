@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bus.partition import Index, Partition
 from bus.sensors import CameraFrame, Labels, SensorSchema
-from bus.wire.fixed_layout import Decode
+from bus.wire.fixed_layout import Decode, PayloadLayout
 from bus.wire.frames import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values, check_message
 from bus.wire.keys import check_run
 
@@ -145,6 +145,8 @@ class ParticipantCodec(ABC):
         relays: Whether senses and drives bring the messages, which then have no parts.
         out_keys: Key of each part that the shard sends, in the order of its outgoing links.
         out_sources, out_targets: Cells of the units that send and receive each part.
+        layouts: Layouts of the only payload that arrives and of the only one that is sent in a tick; None where there
+            are several, or of several layouts.
     """
 
     alive_keys: tuple[str, ...]
@@ -163,6 +165,7 @@ class ParticipantCodec(ABC):
     out_keys: tuple[str, ...]
     out_sources: tuple[Index, ...]
     out_targets: tuple[Index, ...]
+    layouts: tuple[PayloadLayout, PayloadLayout] | None = None
 
     @abstractmethod
     def join_senses(self, values: list[Any]) -> Senses:

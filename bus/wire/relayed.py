@@ -251,6 +251,11 @@ class RelayedParticipant(PerShardParticipant):
         self._drive = FixedLayoutCodec(
             _places(_drive_sizes(len(cells), len(partition.outgoing(shard)), message))
         )
+        self._is_finite = _finite_check(len(cells))
+        readings = wiring.readings
+        if not (readings.levels or readings.labels or readings.camera):
+            sense = FixedLayoutCodec(_places(_sense_sizes(len(cells), incoming, readings, message)))
+            self.layouts = sense.layout(), self._drive.layout()
 
     def join_senses(self, values: list[Any]) -> Senses:
         """Return the senses of the single unit."""
@@ -266,10 +271,11 @@ class RelayedParticipant(PerShardParticipant):
 
     def drive_payloads(self, frame: wire.DriveFrame, links: wire.LinkFrame | None = None) -> list[bytes]:
         """One payload, with the messages."""
-        if not codec.all_finite(frame.drive):
+        drive = frame.drive.tobytes()
+        if not self._is_finite(drive):
             raise WireError("drive", "finite", "every value must be finite")
         sent, message = (b"", b"") if links is None else (links.sent.tobytes(), links.message.tobytes())
-        return self._drive.write(frame.tick, ((frame.drive.tobytes(), sent, message),))
+        return self._drive.write(frame.tick, ((drive, sent, message),))
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """No payloads: messages go with the drive."""

@@ -40,12 +40,26 @@ SHARD = np.dtype(
             "sensors",  # of a cell
             "messages",  # whether there are any
             "slots",  # of a serial line's past
-            "links_out",  # links out over the border
+            "links_in",  # links over the border, into the shard
+            "links_out",  # out of it
+            "period_ns",  # of the exchanges
+            "current",  # the outbox with the messages of the tick before; the other one is filled
             "debounce_ticks",  # 1: bits are taken as they are
             "clock_period_ns",  # of the clocks by which bits are read; 0: in every exchange
             "clock_window_ns",
             "bounces",  # counted
-            # addresses of arrays
+            # addresses of arrays; a tick reads ...
+            "bits",  # (n, sensors) bool, presence
+            "encoder_m",  # (n, 2), travel of the wheels; any numbers without motors
+            "border_received",  # (links_in,) bool
+            "border",  # (links_in, size + head) bytes, messages over the border
+            # ... and fills
+            "drive",  # (n, 2), zeros for dead cells
+            "border_sent",  # (links_out,) bool
+            "border_out",  # (links_out, size + head) bytes
+            # the rest is its own
+            "parameters",  # (1,), of the program
+            "states",  # (a,), of the programs
             "boards",  # (1,) of BOARD
             "links",  # (1,) of LINES
             "loops",  # (1,) of LOOP
@@ -85,10 +99,12 @@ SHARD = np.dtype(
 
 
 step: Any = None
+PARAMETERS: Any = None
+STATE: Any = None
 INPUTS: Any = None
 OUTPUTS: Any = None
 SIZE: Any = None
-"""A program's step, the types of its inputs and outputs, and the bytes of its messages: see ``compiled_program``."""
+"""A program's step, its types, and the bytes of its messages: see ``compiled_program``."""
 
 
 def run_rows(parameters, states, inputs, outputs):
@@ -188,29 +204,16 @@ def leave_shard(sent, outbox, border_from, border_sent, border):
             clear(border[link])
 
 
-def run_tick(
-    tick, now_ns, current, shards, parameters, states, bits, encoder_m,
-    border_received, border, drive, border_sent, border_out,
-):  # fmt: skip
+def run_tick(tick, shards):
     """Step all live cells of a shard.
 
     Args:
         tick: Of the exchange with the plant.
-        now_ns: When all cells read; unless they have clocks of their own.
-        current: Which of the two outboxes has the messages of the tick before; the other one is filled.
         shards: One record of ``SHARD``.
-        parameters: One record of the program's constants.
-        states: ``(a,)`` records of the live cells' programs, changed in place.
-        bits: ``(n, sensors)``, presence bits.
-        encoder_m: ``(n, 2)``, travel of the wheels; any numbers without motors.
-        border_received: ``(l,)``, whether a message came over a link of the border.
-        border: ``(l, line_size)`` uint8, these messages.
-        drive: ``(n, 2)``; is filled, with zeros for dead cells.
-        border_sent: ``(links_out,)``; is filled.
-        border_out: ``(links_out, line_size)`` uint8; is filled.
 
     Returns:
-        How many programs drive what is no number; ``RESETS`` if nothing was done.
+        How many programs drive what is no number, or ``RESETS`` if nothing was done; and how many bounces of presence
+        bits were counted.
     """
     s = shards[0]
     n, live = s.cells, s.live
@@ -221,13 +224,22 @@ def run_tick(
     )
     clocks, watches = array_at(s.clocks, live, CLOCK), array_at(s.watches, live, WATCHDOG)
     window = window_of(k, tick)
+    now_ns, bounces = tick * s.period_ns, s.bounces
     if k.watchdog and any_reset(k, s, window, now_ns, clocks, watches):
-        return RESETS
+        return RESETS, 0
     wheels, meters = array_at(s.wheels, live, WHEELS), array_at(s.meters, live, METER)
     cells = array_at(s.lines, live, lines.LINE)
     waiting, going = array_at(s.waiting, (live, 4, SIZE), BYTE), array_at(s.going, (live, 4, SIZE), BYTE)
     there = array_at(s.there, (live, s.slots, 4, SIZE + lines.HEAD), BYTE)
     rows, source = array_at(s.rows, live, LONG), array_at(s.source, (n, 4), LONG)
+    parameters, states = array_at(s.parameters, 1, PARAMETERS), array_at(s.states, live, STATE)
+    bits, encoder_m = array_at(s.bits, (n, s.sensors), BOOL), array_at(s.encoder_m, (n, 2), DOUBLE)
+    drive, current = array_at(s.drive, (n, 2), DOUBLE), s.current
+    border_received, links_out = array_at(s.border_received, s.links_in, BOOL), s.links_out
+    border_sent, border_from = (
+        array_at(s.border_sent, links_out, BOOL),
+        array_at(s.border_from, links_out, LONG),
+    )
     sent = array_at(s.sent_1 if current else s.sent_0, 4 * n, BOOL)
     sent_next = array_at(s.sent_0 if current else s.sent_1, (n, 4), BOOL)
     before, after = s.outbox_1 if current else s.outbox_0, s.outbox_0 if current else s.outbox_1
@@ -244,6 +256,8 @@ def run_tick(
         array_at(after, (n, 4, SIZE + lines.HEAD), BYTE),
     )
     whole, whole_next = array_at(before, (4 * n, SIZE), BYTE), array_at(after, (n, 4, SIZE), BYTE)
+    lined_border = array_at(s.border, (s.links_in, SIZE + lines.HEAD), BYTE)
+    whole_border = array_at(s.border, (s.links_in, SIZE), BYTE)
     failures = 0
     if live < n:
         for row in range(n):
@@ -254,12 +268,12 @@ def run_tick(
         row = rows[i]
         read_bits(s, row, window, bits, believed, readings, inputs.presence)
         if k.lines:
-            collect_cell(row, source, sent, lined, border_received, border, line_received, line)
+            collect_cell(row, source, sent, lined, border_received, lined_border, line_received, line)
             for side in range(4):
                 received[side] = False
                 clear(message[side])
         elif s.messages:
-            collect_cell(row, source, sent, whole, border_received, border, received, message)
+            collect_cell(row, source, sent, whole, border_received, whole_border, received, message)
         at_ns, runs, _ = begin_cell(
             k, link, i, tick, now_ns, clocks, watches, cells, waiting, there,
             line_received, line, received, message,
@@ -294,12 +308,14 @@ def run_tick(
             at_ns, runs, received, wanted, failed[i], outputs.served != 0, says, said, encoder_m[row],
             drive[row], sent_next[row], lined_next[row],
         )  # fmt: skip
-    border_from = array_at(s.border_from, s.links_out, LONG)
     if k.lines:
-        leave_shard(sent_next, lined_next, border_from, border_sent, border_out)
+        lined_out = array_at(s.border_out, (links_out, SIZE + lines.HEAD), BYTE)
+        leave_shard(sent_next, lined_next, border_from, border_sent, lined_out)
     elif s.messages:
-        leave_shard(sent_next, whole_next, border_from, border_sent, border_out)
-    return failures
+        whole_out = array_at(s.border_out, (links_out, SIZE), BYTE)
+        leave_shard(sent_next, whole_next, border_from, border_sent, whole_out)
+    s.current = 1 - current
+    return failures, s.bounces - bounces
 
 
 def compiled_program(
@@ -322,11 +338,15 @@ def compiled_program(
         Both entry points.
     """
     inputs, outputs = inputs_type(message), outputs_type(message)
-    names = {"step": step, "INPUTS": inputs, "OUTPUTS": outputs, "SIZE": message.itemsize}
-    tick = entry(
-        INTEGER, INTEGER, INTEGER, written(SHARD, 1), read(parameters, 1), written(state, 1), read("?", 2),
-        read("f8", 2), read("?", 1), read("u1", 2), written("f8", 2), written("?", 1), written("u1", 2),
-    )(_for_program(run_tick, module, names))  # fmt: skip
+    names = {
+        "step": step,
+        "PARAMETERS": parameters,
+        "STATE": state,
+        "INPUTS": inputs,
+        "OUTPUTS": outputs,
+        "SIZE": message.itemsize,
+    }
+    tick = entry(INTEGER, written(SHARD, 1))(_for_program(run_tick, module, names))
     rows = entry(read(parameters, 1), written(state, 1), written(inputs, 1), written(outputs, 1))(
         _for_program(run_rows, module, names)
     )
@@ -340,4 +360,6 @@ def _for_program(function: Any, module: str, names: dict[str, Any]) -> Any:
     """
     made = FunctionType(function.__code__, {**globals(), **names}, function.__name__)
     made.__module__ = module
+    # numba's cache tells functions of one file apart by this name
+    made.__qualname__ = f"{module.rpartition('.')[2]}.{function.__name__}"
     return made

@@ -14,7 +14,7 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, Final, cast, final
 
 import zenoh
@@ -105,16 +105,15 @@ class Channel:
             cast("Any", self._session).delete(self._bell, allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
 
-def drain(channels: Iterable[Channel], events: list[Event]) -> None:
-    """Add the payloads present; of each channel at most its capacity, so that fast senders can't prolong the call."""
-    for channel in channels:
-        key, try_recv = channel.key, channel.try_recv
-        for _ in range(_CAPACITY):
-            if (sample := try_recv()) is None:
-                break
-            payload = sample.payload.to_bytes()
-            if payload or sample.kind == zenoh.SampleKind.PUT:
-                events.append(received((key or str(sample.key_expr), payload)))
+def drain(channel: Channel, events: list[Event]) -> None:
+    """Add the payloads present, at most the channel's capacity, so that fast senders can't prolong the call."""
+    key, try_recv = channel.key, channel.try_recv
+    for _ in range(_CAPACITY):
+        if (sample := try_recv()) is None:
+            break
+        payload = sample.payload.to_bytes()
+        if payload or sample.kind == zenoh.SampleKind.PUT:
+            events.append(received((key or str(sample.key_expr), payload)))
 
 
 _SHORT_S: Final = 0.1
@@ -166,10 +165,17 @@ class ReceiveQueue:
 
     def poll_all(self, timeout_s: float | None, enough: int, quiet_key: str | None = None) -> list[Event]:
         """All that is there, once it is enough or there is news; see ``Endpoint``."""
-        until = None if timeout_s is None else time.monotonic() + timeout_s
-        left = timeout_s
         data: list[Event] = []
         news: list[Event] = []
+        if timeout_s is None and quiet_key is None and self._main is not None and not self._quiet:
+            self._awaited = self._main
+            while not news and len(data) < enough:
+                if self._news.empty():
+                    self._main.wait(data)
+                self._look(data, news)
+            return data + news if news else data
+        until = None if timeout_s is None else time.monotonic() + timeout_s
+        left = timeout_s
         quiet: list[Event] = []
         if quiet_key is None:
             self._awaited, found = self._main, data
@@ -183,7 +189,8 @@ class ReceiveQueue:
             if news or len(found) >= enough or (left is not None and left <= 0.0):
                 break
             left = None if until is None else until - time.monotonic()
-        drain(self._quiet.values(), quiet)
+        for channel in self._quiet.values():
+            drain(channel, quiet)
         return quiet + data + news
 
     def close(self) -> None:
@@ -194,7 +201,8 @@ class ReceiveQueue:
         """Take all data and news, including data put before the last news, and news put before the last data."""
         empty = self._news.empty
         while True:
-            drain(self._waking, data)
+            for channel in self._waking:
+                drain(channel, data)
             if empty():
                 return
             while not empty():

@@ -1,0 +1,72 @@
+"""Payloads of a shard's ticks, read into and written from the buffers of its kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.wire.fixed_layout import PayloadLayout
+from cell_firmware.kernels import payload as kernels
+from cell_firmware.shard_kernel import TickBuffers
+
+
+@final
+class PayloadCodec:
+    """Codec of a shard's only payload each way in a tick, by kernels.
+
+    Args:
+        sense: Layout of the payload that arrives.
+        drive: Layout of the payload that is sent.
+        buffers: Inputs and outputs of the shard's ticks.
+    """
+
+    def __init__(self, sense: PayloadLayout, drive: PayloadLayout, buffers: TickBuffers) -> None:
+        given = {
+            "presence": buffers.presence,
+            "encoder_m": buffers.encoder_m,
+            "sent": buffers.received,
+            "message": buffers.border,
+        }
+        done = {"drive": buffers.drive, "sent": buffers.sent, "message": buffers.message}
+        self._size = len(sense.constant)
+        self._constant = np.frombuffer(sense.constant, np.uint8)
+        self._is_constant = np.ones(self._size, dtype=np.uint8)
+        for start, size in sense.places.values():
+            self._is_constant[start : start + size] = 0
+        self._sense_tick, self._drive_tick = sense.places["tick"][0], drive.places["tick"][0]
+        self._sense_fields, self._drive_fields = _fields(sense, given), _fields(drive, done)
+        fields = (buffers.border.dtype.fields or {}).values()
+        self._booleans = np.array([field[1] for field in fields if field[0].kind == "b"], dtype=np.int64)
+        self._payload = np.frombuffer(bytearray(drive.constant), np.uint8)
+
+    def read(self, tick: int, payload: bytes) -> bool:
+        """Read a sense payload into the buffers; False if it isn't a valid one of this tick in this layout."""
+        if len(payload) != self._size:
+            return False
+        return kernels.read_payload(
+            tick, np.frombuffer(payload, np.uint8), self._constant, self._is_constant, self._sense_tick,
+            self._sense_fields, self._booleans,
+        )  # fmt: skip
+
+    def write(self, tick: int) -> bytes:
+        """Return the drive payload of the buffers; drives must be finite."""
+        kernels.write_payload(tick, self._drive_tick, self._drive_fields, self._payload)
+        return self._payload.tobytes()
+
+
+def _fields(layout: PayloadLayout, buffers: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """Return the fields of a payload that have bytes, as records of ``kernels.FIELD``."""
+    rows: list[tuple[int, int, int, bool, bool, int]] = []
+    for name, (start, size) in layout.places.items():
+        if name == "tick" or not size:
+            continue
+        buffer = buffers[name]
+        assert buffer.nbytes == size, f"this is a bug: {size} bytes of {name} for {buffer.nbytes}"
+        item = buffer.dtype.itemsize if buffer.dtype.names else 0
+        rows.append(
+            (start, size, buffer.ctypes.data, buffer.dtype.kind == "b", buffer.dtype.kind == "f", item)
+        )
+    return np.array(rows, dtype=kernels.FIELD)
