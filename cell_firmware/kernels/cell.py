@@ -1,4 +1,4 @@
-"""The control period of one cell's board: what comes before its program's step, and what comes after.
+"""Control period of one cell's board: the parts that act before the program's step, and those that act after.
 
 One set of kernels serves all scenes: records of constants say which parts a board has, and messages are bytes.
 """
@@ -42,7 +42,7 @@ def window_of(k, tick):
 
 @kernel
 def read_ns(k, clocks, i, window, now_ns):
-    """When a cell reads in a window; -1: not in this one."""
+    """Time at which a cell reads in a window, ns; -1: not in this one."""
     if not k.clock:
         return now_ns
     return due(k.period_ns, k.window_ns, clocks[i].ppb, clocks[i].phase_ns, window, clocks[i].count)

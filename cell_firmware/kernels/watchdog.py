@@ -23,7 +23,7 @@ WATCHDOG = np.dtype(
 
 @kernel
 def bite_ns(k, watch):
-    """When a watchdog that is not served any more resets its cell, in the cell's own time."""
+    """Time at which a watchdog that is not served any more resets its cell, in the cell's own time, ns."""
     return -(-(watch.served_ns + k.timeout_ns) // k.divider_ns) * k.divider_ns
 
 

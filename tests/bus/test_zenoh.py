@@ -312,5 +312,5 @@ def test_a_flood_does_not_keep_its_reader_for_ever() -> None:
             return Sample()
 
     events: list[Event] = []
-    drain_channels(cast("Any", [Endless()]), events)
+    drain_channels(cast("Any", Endless()), events)
     assert len(events) == 65_536
