@@ -163,6 +163,7 @@ class ShardKernel:
         self._current: Indices = self._shard["current"]
         self._owned: list[NDArray[Any]] = []
         self._outboxes: list[Outboxes] = []
+        self._not_finite, self._speed = np.zeros(0, dtype=np.bool_), np.zeros((0, 2))
         self._bound: tuple[ControllerState, Indices | None, Bools | None] | None = None
         self.buffers = TickBuffers.of(links, self._line, sensors)
 

@@ -1,4 +1,4 @@
-"""Control period of one cell's board: the parts that act before the program's step, and those that act after.
+"""Control period of one cell's board: hardware before and after the program's step.
 
 One set of kernels serves all scenes: records of constants say which parts a board has, and messages are bytes.
 """

@@ -15,6 +15,7 @@ SCRATCH = {
     ("PlantProcess", "_coordinator"): "the cells are looked at by themselves",
     ("PlantProcess", "hooks"): "they belong to whoever runs it",
     ("CompiledController", "_bound"): "the memory of the shard's state, where that was stepped before",
+    ("Shard", "_kernel"): "likewise: it takes over a state before it steps it",
     ("Spots", "_parcels"): "states are put in before they are looked at",
 }
 """Attributes that may differ, and why."""
