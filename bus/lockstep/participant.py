@@ -10,6 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from bus.errors import BarrierError, CoordinatorLostError, WaitInterrupted
+from bus.lattice import NO_TICK_LIMIT
 from bus.lockstep.control import ControlState
 from bus.lockstep.counters import MessageCounters
 from bus.lockstep.intervals import Membership
@@ -94,6 +95,8 @@ class Participant:
         self.counters = MessageCounters()
         self._tick = 0
         self._answer_until = 0.0
+        self._known_changes, self._next_death = -1, NO_TICK_LIMIT
+        """Changes of membership that the caller of ``gather`` has seen, and the next death in the shard."""
         self._declared: list[str] = []
         lives = self._lives = Membership(len(partition.lattice))
         self._incoming = InboundFrames(wiring, shard, self._form, lives, self.counters)
@@ -255,6 +258,9 @@ class Participant:
             if not missing:
                 if tick + 1 == control.snapshot_tick and self._snapshots is not None:
                     self._snapshots.record_counters(self._incoming.received_count(tick))
+                if self._known_changes != membership.changes or tick >= self._next_death:
+                    self._known_changes = membership.changes
+                    self._next_death = membership.next_death(tick)
                 return self._incoming.collect(tick)
             if control.plant_lost:
                 raise CoordinatorLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
@@ -339,7 +345,8 @@ class Participant:
         """Whether a tick needs no more than its payload, as far as is known before it."""
         control = self._control
         return (
-            self._lives.unchanged
+            self._known_changes == self._membership.changes
+            and tick + 1 < self._next_death
             and self._silence_s is None
             and control.stop is None
             and not control.plant_lost

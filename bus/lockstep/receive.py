@@ -174,11 +174,14 @@ class FrameAssembler:
 
     @property
     def untouched(self) -> bool:
-        """Whether nothing has arrived of the frame of ``now`` or of later ones, and no sender ever died."""
-        return not self._early and not self._deaths and self._current.missing == len(self.end_tick)
+        """Whether nothing has arrived of the frame of ``now`` or of later ones."""
+        return not self._early and not any(self._current.have)
 
     def skip(self, parts: int) -> None:
-        """Close the frame of ``now``, whose ``parts`` the caller has received by itself; it was ``untouched``."""
+        """Close the frame of ``now``, whose ``parts`` the caller has received by itself.
+
+        The frame was ``untouched``, and the same senders are live in the next tick.
+        """
         self.now += 1
         self._counts.delivered += parts
 

@@ -351,6 +351,9 @@ class ParticipantMembership:
         incoming: Inbound frames of the shard.
         outgoing: Outbound frames of the shard.
         counts: Counters to update.
+
+    Attributes:
+        changes: Number of changes so far.
     """
 
     def __init__(
@@ -361,6 +364,7 @@ class ParticipantMembership:
         outgoing: OutboundFrames,
         counts: MessageCounters,
     ) -> None:
+        self.changes = 0
         self._cells = cells
         self._membership = membership
         self._incoming = incoming
@@ -379,6 +383,11 @@ class ParticipantMembership:
     def none_live(self, tick: int) -> bool:
         """Whether no cell of the shard is live in ``tick``."""
         return not self._membership.unchanged and not self.live(tick).any()
+
+    def next_death(self, tick: int) -> int:
+        """Return the first tick after ``tick`` in which a cell of the shard that is live in ``tick`` is dead."""
+        ends = self._membership.end_tick[self._cells]
+        return int(ends[ends > tick].min(initial=NO_TICK_LIMIT))
 
     def schedule_death(self, cells: Iterable[int], tick: int) -> None:
         """Schedule the permanent death of ``cells`` at ``tick``."""
@@ -409,6 +418,7 @@ class ParticipantMembership:
             self._incoming.enter(tick)
         self._incoming.admit()
         self._outgoing.update_membership()
+        self.changes += 1
         return own
 
     def owns(self, cells: Iterable[int]) -> bool:
@@ -416,5 +426,6 @@ class ParticipantMembership:
         return not set(cells).isdisjoint(self._cells.tolist())
 
     def _update_membership(self) -> None:
+        self.changes += 1
         self._incoming.update_membership()
         self._outgoing.update_membership()
