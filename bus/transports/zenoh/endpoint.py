@@ -232,15 +232,12 @@ class ZenohEndpoint(Endpoint):
 
 
 _PORT_ATTEMPTS: Final = 20
-_AT_PLANT: Final = (
-    "(rx: (worker_threads: 1), tx: (worker_threads: 1), acc: (handover: rx), net: (handover: rx), app: (handover: rx))"
-)
+_READER: Final = "acc: (handover: rx), net: (handover: rx), app: (handover: rx)"
+_AT_PLANT: Final = f"(rx: (worker_threads: 1), tx: (worker_threads: 1), {_READER})"
 """Zenoh's threads of the plant's process. Sockets belong to the pool that accepted them: with a pool of its own, that
 pool is woken for every payload, to wake the one that reads. Sending has a thread of its own: a put waits for it, and a
 flood may meanwhile keep the reading one waiting for room in a channel."""
-_AT_CELLS: Final = (
-    "(rx: (worker_threads: 1), tx: (handover: rx), acc: (handover: rx), net: (handover: rx), app: (handover: rx))"
-)
+_AT_CELLS: Final = f"(rx: (worker_threads: 1), tx: (handover: rx), {_READER})"
 """Zenoh's thread of a process of cells, which exchanges a few payloads a tick."""
 _NO_PORT: Final = ":0"
 
