@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import inf
 
-from plant.kernels.common.jit import kernel
+from bus.kernel_cache.callee import kernel
 
 STILL_M_S = 1e-15
 """A wheel slower than this stands: where it stopped, rounding leaves less."""
