@@ -78,9 +78,9 @@ class Digest:
         # A maximum is NaN if one number is: one cheap check a tick.
         if isnan(np.maximum.reduce(self._numbers, initial=-np.inf)):
             raise _found_nan(tick, drives, parcels)
-        bits = np.packbits(presence, bitorder="little")
+        bits = np.packbits(presence, bitorder="little").tobytes()
         chain = sha256(b"".join((self.value, tick.to_bytes(8, "little"), bits)))
-        chain.update(self._numbers)
+        chain.update(self._numbers.data)
         self.value = chain.digest()
 
 

@@ -32,14 +32,14 @@ Row = dict[str, Any]
 REAL, BARE = "#2f6f9f", "#c9d3dc"
 
 PACKED = """\
-Packed runs. The plant is this process, with workers beside it as mdms run has them; up to 10,000 cells are recorded,
-digest included; without a recording there is no digest either. heat: wheel speeds spread from two held columns, ideal wheels, one parcel. 50 parcels:
-the parcels of large on cells with motors and speed loops, all moving. The bare side is plain Zenoh code (FifoChannel,
-recv, put) with as many processes, which exchanges payloads of the same number and sizes and reads none of them. A case
-has a process of its own; its two sides take {turns} turns each of {seconds} s (two ticks at least), each first in every
-other pair, after {warm} ticks to warm up, so that what else the machine does meets both alike. "ratio" is the median
-over pairs of turns, between the least and the largest; rates and processor time a tick (schedstat, all threads; the
-workers' together) are medians. PSS is of all processes of the run after warming up.
+Packed runs. The plant is this process, with workers beside it as mdms run has them. Up to 10,000 cells a run is
+recorded and has its digest; larger ones have neither. heat: wheel speeds spread from two held columns, ideal wheels,
+one parcel. 50 parcels: the parcels of large on cells with motors and speed loops, all moving. The bare side is plain
+Zenoh code (FifoChannel, recv, put) with as many processes, which exchanges payloads of the same number and sizes and
+reads none of them. A case has a process of its own; its two sides take {turns} turns each of {seconds} s (two ticks at
+least), each first in every other pair, after {warm} ticks to warm up, so that what else the machine does meets both
+alike. "ratio" is the median over pairs of turns, beside the least and the largest; rates and processor time a tick
+(schedstat, all threads; the workers' together) are medians. PSS is of all processes of the run after warming up.
 """
 
 
