@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import ClassVar, final
+from typing import ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.state import StateFields
 from plant import geometry
-from plant.geometry import close_boxes, close_pairs
+from plant.geometry import Pairs, close_boxes, close_pairs
 from plant.observations import Event
 
 Floats = NDArray[np.float64]
@@ -22,6 +22,47 @@ def meeting(time_s: float, kind: str, first: int, second: int, depth_m: float, p
     """A change of an `OverlapDetector` as the plant reports it."""
     deep = f", {depth_m:.3g} m deep" if depth_m else ""
     return Event(time_s, kind, first, (), place, f"with parcel {second}{deep}")
+
+
+_REACH: Final = 0.5
+"""How much larger circles are taken in the search for neighbours, as a share of the mean one's radius."""
+
+
+@final
+class NeighbourList:
+    """Pairs of parcels whose circles may touch, searched for again once a parcel has moved far enough to matter.
+
+    Args:
+        radius: distance of each parcel's farthest corner, ``(m,)``, m.
+    """
+
+    def __init__(self, radius: Floats) -> None:
+        self._radius = radius
+        self._reach = _REACH * float(np.mean(radius)) if len(radius) else 0.0
+        # two parcels come nearer to each other by what both move; a hair less for rounding
+        self._far_2 = (0.999 * self._reach) ** 2
+        self._there: Indices | None = None
+        self._centre: Floats = np.zeros((0, 2))
+        self._pairs: Pairs = np.zeros((0, 2), dtype=np.intp)
+
+    def touching(self, state: Floats, there: Indices) -> Pairs:
+        """Return pairs of positions in ``there`` whose circles overlap, as ``geometry.close_pairs`` does."""
+        centre = state[there, :2]
+        if there is not self._there or self._moved_far(centre):
+            self._there, self._centre = there, centre
+            self._pairs = close_pairs(centre, self._radius[there] + self._reach)
+        near = self._pairs
+        if not len(near):
+            return near
+        i, j = near.T
+        gap, reach = centre[i] - centre[j], self._radius[there[i]] + self._radius[there[j]]
+        return near[np.hypot(gap[:, 0], gap[:, 1]) < reach]
+
+    def _moved_far(self, centre: Floats) -> bool:
+        moved = centre - self._centre
+        moved *= moved
+        # not-a-number is far, too
+        return not (moved[:, 0] + moved[:, 1]).max(initial=0.0) < self._far_2
 
 
 @final
@@ -38,6 +79,7 @@ class OverlapDetector:
     def __init__(self, footprints: Sequence[Floats], radius: Floats) -> None:
         self._footprints = footprints
         self._radius = radius
+        self._neighbours = NeighbourList(radius)
         self._met: set[tuple[int, int]] = set()
 
     def _placed(self, i: int, pose: Floats) -> Floats:
@@ -50,7 +92,7 @@ class OverlapDetector:
             state: ``(parcels, 6)``.
             there: ascending indices of the parcels that are there.
         """
-        for pair in close_pairs(state[there, :2], self._radius[there]):
+        for pair in self._neighbours.touching(state, there):
             i, j = there[pair].tolist()
             found = geometry.overlap(self._placed(i, state[i]), self._placed(j, state[j]))
             if found is not None:

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from bus.errors import BusError, WaitInterrupted
+from bus.errors import BusError, WaitInterrupted, WireError
 from bus.lockstep.counters import Loss, MessageCounters
 from bus.lockstep.liveness import LivenessTracker
 from bus.lockstep.membership import CoordinatorMembership
@@ -33,7 +33,7 @@ from bus.wire.frames import (
     check_sense,
     encode_control,
 )
-from bus.wire.keys import plant_key, shard_key
+from bus.wire.keys import owner_of, plant_key, shard_key
 
 _POLL_S: Final = 0.01
 """Polling interval for matches, which cause no event, wall seconds."""
@@ -100,7 +100,12 @@ class Coordinator:
         """Tick whose messages the shards of a resumed run send again, for the coordinator to pass on."""
         self._roll = LivenessTracker(self._form, partition.lattice)
         self._drives = FrameAssembler(
-            "drive", self._form.blank_drives, self._form.decode_drive, self.counters
+            "drive",
+            self._form.blank_drives,
+            self._form.decode_drive,
+            self.counters,
+            self._form.batch,
+            self._refuse_drive,
         )
         self._drives.latest = _BEFORE  # nobody can know what to drive before it has sensed
         self._inbox = Dispatcher(endpoint, partition, self.counters, self._roll.handle)
@@ -179,7 +184,7 @@ class Coordinator:
 
     def _awaits_messages(self) -> bool:
         """Whether messages that the shards of a resumed run send again are missing."""
-        return self._resent != _BEFORE and self._drives.slot(self._resent).missing > 0
+        return self._resent != _BEFORE and not self._drives.settle()
 
     def absent(self, timeout_s: float) -> set[int]:
         """Return the shards with a cell that has not appeared yet.
@@ -252,14 +257,19 @@ class Coordinator:
             if self._roll.unhandled_departures or self._reported.failed:
                 self._membership.drop_failed(tick, self._reported.drain_failed())
                 self._membership.drop_disconnected(tick, slot.have)
-            if slot.missing <= 0:
+            if slot.missing <= 0 and self._drives.settle():
                 break
             if not read(max(deadline - clock(), 0.0), slot.missing) and clock() >= deadline:
+                self._drives.settle()
                 self._membership.drop_timed_out(
                     tick, self._reported.drain_busy(tick) if clock() < latest else ()
                 )
                 deadline = min(clock() + self._stall.deadline_s, latest)
         return DriveFrame(tick, self._close(tick)), self._membership.drain_losses()
+
+    def _refuse_drive(self, unit: int, error: WireError) -> None:
+        key = next(key for key, named in self._form.drive_units.items() if named == unit)
+        self.counters.refuse(error, owner_of(key, self._wiring.partition))
 
     def _close(self, tick: int) -> Values:
         """Close a tick whose drives have been gathered: return the drives, and store the messages to pass on."""

@@ -10,6 +10,7 @@ from bus.lattice import NO_TICK_LIMIT
 from bus.lockstep.counters import MessageCounters
 from bus.partition import Partition
 from bus.transports.base import Endpoint, Event, LivelinessChange, Received
+from bus.wire.format import DriveBatch
 from bus.wire.keys import owner_of
 
 EARLY_TICKS: Final = 64
@@ -24,14 +25,16 @@ class PartialFrame:
         values: A value a part; its blank where none has arrived.
         have: Nonzero for each part that has arrived.
         missing: Number of live parts that have not arrived.
+        undecoded: Number of values that are payloads as they came.
     """
 
-    __slots__ = ("have", "missing", "values")
+    __slots__ = ("have", "missing", "undecoded", "values")
 
     def __init__(self, values: list[Any], missing: int) -> None:
         self.values = values
         self.have = bytearray(len(values))
         self.missing = missing
+        self.undecoded = 0
 
 
 @final
@@ -43,6 +46,8 @@ class FrameAssembler:
         blank: Substitute for each part that does not arrive.
         decode: From a part and its payload to its tick and value; raises WireError.
         counts: Counters to update.
+        batch: Decoder of all parts at once, used while no sender is dead; None: each is decoded as it comes.
+        refuse: Called with the part and the error of each payload that ``settle`` refuses.
 
     Attributes:
         now: First tick that is not closed.
@@ -57,8 +62,12 @@ class FrameAssembler:
         blank: Sequence[Any],
         decode: Callable[[int, bytes], tuple[int, Any]],
         counts: MessageCounters,
+        batch: DriveBatch | None = None,
+        refuse: Callable[[int, WireError], None] | None = None,
     ) -> None:
         self.now = 0
+        self._batch, self._refuse = batch, refuse
+        self._stamp = b"" if batch is None else batch.stamp(0)
         self.first_tick = [0] * len(blank)
         self.end_tick = [NO_TICK_LIMIT] * len(blank)
         self.latest = NO_TICK_LIMIT
@@ -78,6 +87,8 @@ class FrameAssembler:
         Raises:
             WireError: Not such a payload, too far ahead, or the second of its tick.
         """
+        if self._batch is not None and self._defer(self._batch, part, payload):
+            return
         tick, value = self._decode(part, payload)
         if tick > self.latest:
             raise WireError(
@@ -97,6 +108,57 @@ class FrameAssembler:
         slot.have[part] = 1
         slot.missing -= 1
         self._counts.delivered += 1
+
+    def _defer(self, batch: DriveBatch, part: int, payload: bytes) -> bool:
+        """Keep a payload of the current tick as it is, to be decoded with the others; return whether it was kept."""
+        if (
+            payload[batch.tick_at] != self._stamp
+            or len(payload) != batch.sizes[part]
+            or self._deaths
+            or self.now > self.latest
+        ):
+            return False
+        slot = self._current
+        if slot.have[part]:
+            self.settle()  # an invalid payload is none, and this one not the second
+            return False
+        slot.values[part] = payload
+        slot.have[part] = 1
+        slot.missing -= 1
+        slot.undecoded += 1
+        self._counts.delivered += 1
+        return True
+
+    def settle(self) -> bool:
+        """Decode what was kept of the current tick, and refuse what is not valid.
+
+        Returns:
+            Whether all live parts are there.
+        """
+        slot = self._current
+        if slot.undecoded:
+            kept, slot.undecoded = slot.undecoded, 0
+            assert self._batch is not None, "this is a bug: payloads were kept for no decoder"
+            together = self._batch.decode(slot.values) if kept == len(slot.values) else None
+            if together is not None:
+                slot.values = together
+            else:
+                self._decode_each(slot)
+        return slot.missing <= 0
+
+    def _decode_each(self, slot: PartialFrame) -> None:
+        """Decode the payloads among the values of a frame one by one."""
+        for part, payload in enumerate(slot.values):
+            if type(payload) is not bytes or not slot.have[part]:
+                continue
+            try:
+                slot.values[part] = self._decode(part, payload)[1]
+            except WireError as error:
+                slot.values[part], slot.have[part] = self._blank[part], 0
+                slot.missing += 1
+                self._counts.delivered -= 1
+                assert self._refuse is not None, "this is a bug: nobody counts what is refused"
+                self._refuse(part, error)
 
     def _handle_departed(self, part: int, tick: int, value: Any) -> None:
         """Keep the value of a part whose sender may rejoin; count any other as late."""
@@ -161,9 +223,15 @@ class FrameAssembler:
     def start_at(self, tick: int) -> None:
         """Start at ``tick``; parts of earlier ticks are late."""
         self._any_tick = False
-        self.now = tick
+        self.settle()
+        self._begin_at(tick)
         self._early = {t: slot for t, slot in self._early.items() if t >= tick}
         self._current = self._early.pop(tick, None) or self._begin(tick)
+
+    def _begin_at(self, tick: int) -> None:
+        self.now = tick
+        if self._batch is not None:
+            self._stamp = self._batch.stamp(tick)
 
     def discard(self, parts: Sequence[int], tick: int) -> None:
         """Discard the received values of ``parts`` for ``tick`` and later ticks, as if they had not been sent."""
@@ -192,8 +260,10 @@ class FrameAssembler:
 
     def close(self, tick: int) -> PartialFrame:
         """Return the frame of ``tick`` and close all ticks up to it: parts that arrive from now on are late."""
+        self.settle()
         slot = self.slot(tick)
-        self.now = now = tick + 1
+        now = tick + 1
+        self._begin_at(now)
         if not self._early and not self._deaths:  # nearly always, and every tick
             self._current = PartialFrame(self._blank.copy(), len(self.end_tick))
             return slot

@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, Final, cast, final
 
 import msgpack  # pyright: ignore[reportMissingTypeStubs]
@@ -74,10 +75,25 @@ class FixedLayoutCodec:
         self._values = values
         words = [f"{len(text)}s{value}" for text, value in zip(between, [*values, ""], strict=True)]
         self._layout = struct.Struct(">" + "".join(words))
+        self._sizes = [struct.calcsize(">" + value) for value in values]
         self._between = tuple(between)
         self._names = ["tick", *(name for name, place in places.items() if place is not None)]
         self._parts: list[Any] = [b""] * (2 * len(values) + 1)
         self._parts[::2] = between
+
+    def blank(self) -> bytes:
+        """Return a payload of tick 0 whose fields are zero; all of them must be binary."""
+        sizes = [at.stop - at.start for at in self.spans()[1:]]
+        return self.write(0, [[bytes(size) for size in sizes]])[0]
+
+    def spans(self) -> list[slice]:
+        """Return the place of each value in a payload: the tick's, and those of the fields, which must be binary."""
+        ends = accumulate(map(len, self._between[:-1]))
+        spans, values = list[slice](), 0
+        for end, size in zip(ends, self._sizes, strict=True):
+            spans.append(slice(end + values, end + values + size))
+            values += size
+        return spans
 
     def write(self, tick: int, rows: Iterable[Iterable[Any]]) -> list[bytes]:
         """A payload a row of values, in their places' order; booleans are bytes, one each, 0 or 1."""

@@ -10,6 +10,7 @@ parts.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
@@ -80,6 +81,30 @@ class RelayedLinks(NamedTuple):
     message: NDArray[np.void]
 
 
+class DriveBatch(ABC):
+    """Drives of all units, decoded at once when they are all there.
+
+    Attributes:
+        sizes: Bytes of each unit's payload.
+        tick_at: Place of the tick in a payload.
+    """
+
+    sizes: Sequence[int]
+    tick_at: slice
+
+    @abstractmethod
+    def stamp(self, tick: int) -> bytes:
+        """Return the bytes of a payload at ``tick_at``."""
+
+    @abstractmethod
+    def decode(self, payloads: Sequence[bytes]) -> list[Any] | None:
+        """Return what ``join_drives`` and ``relay`` take, of all units; None where a payload is not valid.
+
+        Args:
+            payloads: One a unit, in their order, of the right size and tick.
+        """
+
+
 class CoordinatorCodec(ABC):
     """The plant's side of a wire format.
 
@@ -90,6 +115,7 @@ class CoordinatorCodec(ABC):
         drive_expr, alive_expr, ready_expr: Expressions to subscribe to and to watch.
         blank_drives: Substitute for each unit that sends no drive.
         decode_drive: From a unit and any payload to the tick and value of its drive, or WireError.
+        batch: Decoder of all units' drives at once; None: they are decoded one by one.
         relays: Whether drives bring messages, which the coordinator passes on.
     """
 
@@ -103,6 +129,7 @@ class CoordinatorCodec(ABC):
     ready_expr: str
     blank_drives: list[Any]
     decode_drive: Decode
+    batch: DriveBatch | None = None
     relays: bool = False
 
     @abstractmethod
@@ -116,13 +143,13 @@ class CoordinatorCodec(ABC):
 
     @abstractmethod
     def join_drives(self, values: list[Any]) -> Values:
-        """``(n, 2)`` from a value a unit; may be written."""
+        """``(n, 2)`` from a value a unit, or what ``batch`` made of all; may be written."""
 
     def relay(self, values: list[Any], live: Mask | None) -> RelayedLinks:
         """Return the messages of a tick in the order of their receivers; only for a format that relays.
 
         Args:
-            values: A value a unit, of its drive.
+            values: A value a unit, of its drive, or what ``batch`` made of all.
             live: ``(n,)``, cells whose messages count; None: all.
         """
         del values, live

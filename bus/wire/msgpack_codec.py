@@ -35,6 +35,9 @@ _NOT_MESSAGEPACK: Final = (ValueError, TypeError, OverflowError, msgpack.UnpackE
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Message = NDArray[np.void]
+Contents = bytes | memoryview
+"""Contents of a binary field."""
+_CONTENTS: Final[frozenset[type]] = frozenset((bytes, memoryview))
 Pack = Callable[[dict[str, object]], bytes]
 Read = Callable[[bytes], tuple[int, dict[str, Any]]]
 
@@ -99,7 +102,7 @@ def bits(kind: str, value: object, count: int) -> Mask:
     Raises:
         WireError: Not that many bytes, or a bit set beyond the last.
     """
-    data = binary(kind, value, (count + 7) // 8)
+    data = contents(kind, value, (count + 7) // 8)
     if count % 8 and data[-1] >> count % 8:
         raise WireError(kind, "bits", f"bits are set beyond the last of {count}")
     return np.unpackbits(np.frombuffer(data, _U1), count=count, bitorder="little").view(np.bool_)
@@ -116,9 +119,7 @@ def floats(kind: str, value: object, rows: int) -> Values:
     Raises:
         WireError: Another length, or a value that is not finite.
     """
-    if type(value) is not bytes or len(value) != rows * 16:
-        raise WireError(kind, "size", f"must be {rows * 16} bytes")
-    found: Values = np.ndarray((rows, 2), _F8, bytearray(value))
+    found: Values = np.ndarray((rows, 2), _F8, bytearray(contents(kind, value, rows * 16)))
     if not all_finite(found):
         raise WireError(kind, "finite", "every value must be finite")
     return found
@@ -130,7 +131,7 @@ def fractions(kind: str, value: object, rows: int, columns: int) -> Values:
     Raises:
         WireError: Another length, or a value outside.
     """
-    found: Values = np.ndarray((rows, columns), _F8, bytearray(binary(kind, value, rows * columns * 8)))
+    found: Values = np.ndarray((rows, columns), _F8, bytearray(contents(kind, value, rows * columns * 8)))
     if not ((found >= 0.0) & (found <= 1.0)).all():  # which no NaN is
         raise WireError(kind, "range", "every value must be in [0, 1]")
     return found
@@ -197,6 +198,17 @@ def booleans(kind: str, value: object, count: int) -> list[bool]:
     raise WireError(kind, "type", f"must be a list of {count} booleans")
 
 
+def contents(kind: str, value: object, length: int) -> Contents:
+    """Return ``value``, which must be ``length`` bytes or a view of as many.
+
+    Raises:
+        WireError: Something else.
+    """
+    if type(value) in _CONTENTS and len(cast("Contents", value)) == length:
+        return cast("Contents", value)
+    raise WireError(kind, "size", f"must be {length} bytes")
+
+
 def binary(kind: str, value: object, length: int) -> bytes:
     """``length`` bytes.
 
@@ -214,7 +226,7 @@ def messages(kind: str, value: object, count: int, dtype: np.dtype[np.void]) -> 
     Raises:
         WireError: Another length, or a boolean field that is neither 0 nor 1.
     """
-    found = np.frombuffer(bytearray(binary(kind, value, count * dtype.itemsize)), dtype)
+    found = np.frombuffer(bytearray(contents(kind, value, count * dtype.itemsize)), dtype)
     for name in dtype.names or ():
         if dtype[name].kind == "b" and (found[name].view(_U1) > 1).any():
             raise WireError(kind, "type", f"{name} must be a boolean")
@@ -275,7 +287,7 @@ def labels(kind: str, value: object, rows: int, largest: int) -> Labels:
     Raises:
         WireError: Another length, or a label above the largest.
     """
-    found = np.frombuffer(binary(kind, value, 2 * rows), _U2).astype(np.int64)
+    found = np.frombuffer(contents(kind, value, 2 * rows), _U2).astype(np.int64)
     if (found > largest).any():
         raise WireError(kind, "range", f"label must be in 0..{largest}")
     return found

@@ -11,6 +11,7 @@ from bus.partition import Index
 from bus.sensors import SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
+from bus.wire.binary_layout import FEW, BinaryLayout, Part
 from bus.wire.format import RelayedLinks, RunSchema, Senses, as_slice
 from bus.wire.keys import shard_link_key
 from bus.wire.per_shard import PerShardCoordinator, PerShardParticipant
@@ -33,20 +34,34 @@ class PackedCoordinator(PerShardCoordinator):
         self._rows = tuple(as_slice(cells) for cells in self.unit_cells)
         self.decode_drive = self._decode_drive
         self.blank_drives = [0.0] * wiring.partition.count
-        self._read_drive = [codec.reader("drive", len(cells) * 16, _DRIVE) for cells in self.unit_cells]
+        counts = [len(cells) for cells in self.unit_cells]
+        self._read_drive = [codec.reader("drive", count * 16, _DRIVE) for count in counts]
+        self._drives = [BinaryLayout(_drive_sizes(count)) for count in counts]
+        self._senses = [
+            BinaryLayout(_sense_sizes(count, wiring.readings), self._pictures) for count in counts
+        ]
 
     def sense_payloads(self, frame: wire.SenseFrame, relayed: RelayedLinks | None = None) -> list[bytes]:
         """A payload a shard."""
         del relayed
-        common: dict[str, object] = {}
+        payloads = [
+            layout.write(frame.tick, _sense_parts(frame, rows))
+            for layout, rows in zip(self._senses, self._rows, strict=True)
+        ]
         if self._pictures:
-            common["picture"] = codec.picture_rows(frame.picture)
-        return [self._pack(_sense_fields(frame, rows) | common) for rows in self._rows]
+            picture = self._pack({"picture": codec.picture_rows(frame.picture)})[1:]
+            payloads = [payload + picture for payload in payloads]
+        return payloads
 
     def _decode_drive(self, unit: int, payload: bytes) -> tuple[int, Any]:
         """Tick and ``(cells, 2)`` drives of a shard."""
-        tick, fields = self._read_drive[unit](payload)
-        return tick, codec.floats("drive", fields["drive"], len(self.unit_cells[unit]))
+        rows = len(self.unit_cells[unit])
+        read = self._drives[unit].read(payload)
+        if read is None:
+            tick, fields = self._read_drive[unit](payload)
+            return tick, codec.floats("drive", fields["drive"], rows)
+        tick, (drive,) = read
+        return tick, codec.floats("drive", drive, rows)
 
     def join_drives(self, values: list[Any]) -> codec.Values:
         """``(n, 2)`` from an array a shard."""
@@ -58,20 +73,36 @@ class PackedCoordinator(PerShardCoordinator):
         return drives
 
 
-def _sense_fields(frame: wire.SenseFrame, rows: slice | Index) -> dict[str, object]:
-    """Return the fields of one shard's sense payload; levels and labels only in runs that have them."""
-    encoder_m, level = frame.encoder_m, frame.level
-    fields: dict[str, object] = {
-        "v": codec.VERSION,
-        "tick": frame.tick,
-        "presence": codec.bits_bytes(frame.presence[rows]),
-        "encoder_m": None if encoder_m is None else encoder_m[rows].tobytes(),
+def _drive_sizes(cells: int) -> dict[str, int | None]:
+    """Return the bytes of each field of a shard's drives."""
+    return {"drive": cells * 16}
+
+
+def _sense_sizes(cells: int, readings: SensorSchema) -> dict[str, int | None]:
+    """Return the bytes of each field of a shard's senses but the picture; levels and labels only in runs with them."""
+    sizes: dict[str, int | None] = {
+        "presence": (cells * readings.sensors + 7) // 8,
+        "encoder_m": cells * 16 if readings.encoders else None,
     }
-    if level is not None:
-        fields["level"] = level[rows].tobytes()
+    if readings.levels:
+        sizes["level"] = cells * readings.sensors * 8
+    if readings.labels:
+        sizes["label"] = cells * 2
+    return sizes
+
+
+def _sense_parts(frame: wire.SenseFrame, rows: slice | Index) -> list[Part]:
+    """Return the contents of these fields."""
+    parts: list[Part] = [codec.bits_bytes(frame.presence[rows])]
+    parts += [_bytes_of(field[rows]) for field in (frame.encoder_m, frame.level) if field is not None]
     if frame.label is not None:
-        fields["label"] = codec.label_bytes(frame.label[rows])
-    return fields
+        parts.append(codec.label_bytes(frame.label[rows]))
+    return parts
+
+
+def _bytes_of(array: codec.Values) -> Part:
+    """Return the bytes of an array, of a large one without a copy where they are in one piece."""
+    return array.data.cast("B") if array.nbytes > FEW and array.flags.c_contiguous else array.tobytes()
 
 
 def _sense_reader(readings: SensorSchema, rows: int) -> codec.Read:
@@ -106,6 +137,10 @@ class PackedParticipant(PerShardParticipant):
         self._last_bits = bytes((self._rows * readings.sensors + 7) // 8)
         self._last_presence = np.zeros((self._rows, readings.sensors), dtype=np.bool_)
         self._read_sense = _sense_reader(readings, self._rows)
+        self._drive = BinaryLayout(_drive_sizes(self._rows))
+        sizes = _sense_sizes(self._rows, readings)
+        self._senses = BinaryLayout(sizes)
+        self._sense_names = tuple(name for name, size in sizes.items() if size is not None)
         self._message = np.dtype([]) if wiring.message is None else wiring.message
         self._zero = np.zeros((), dtype=self._message)
         incoming = () if wiring.message is None else partition.incoming_borders(shard)
@@ -129,12 +164,18 @@ class PackedParticipant(PerShardParticipant):
 
     def _decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - one unit only
         """Tick, and what the cells sense."""
-        tick, fields = self._read_sense(payload)
+        fields: dict[str, Any]
+        read = self._senses.read(payload)
+        if read is None:
+            tick, fields = self._read_sense(payload)
+        else:
+            tick, parts = read
+            fields = {"encoder_m": None, **dict(zip(self._sense_names, parts, strict=True))}
         rows, readings = self._rows, self._readings
         # Sensors change rarely: bytes that are the same as in the tick before need no reading.
         if fields["presence"] != self._last_bits:
             bits = codec.bits("sense", fields["presence"], rows * readings.sensors)
-            self._last_bits, self._last_presence = fields["presence"], bits.reshape(rows, readings.sensors)
+            self._last_bits, self._last_presence = bytes(fields["presence"]), bits.reshape(rows, -1)
         presence, encoder_m, level, label, picture = self._last_presence.copy(), None, None, None, None
         if readings.encoders:
             encoder_m = codec.floats("sense", fields["encoder_m"], rows)
@@ -176,7 +217,7 @@ class PackedParticipant(PerShardParticipant):
         del links
         if not codec.all_finite(frame.drive):
             raise WireError("drive", "finite", "every value must be finite")
-        return [self._pack({"v": codec.VERSION, "tick": frame.tick, "drive": frame.drive.tobytes()})]
+        return [self._drive.write(frame.tick, (_bytes_of(frame.drive),))]
 
     def link_payloads(self, frame: wire.LinkFrame) -> list[bytes]:
         """A payload a border."""

@@ -23,7 +23,8 @@ from bus.sensors import CameraFrame, SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
 from bus.wire.fixed_layout import Binary, Decode, FieldLayout, FixedLayoutCodec
-from bus.wire.format import RelayedLinks, RunSchema, Senses
+from bus.wire.format import DriveBatch, RelayedLinks, RunSchema, Senses
+from bus.wire.payload_batch import PayloadBatch
 from bus.wire.per_shard import PerShardCoordinator, PerShardParticipant
 
 _NAMES: Final = 128
@@ -81,11 +82,11 @@ def _finite_check(cells: int) -> Callable[[bytes], bool]:
 
 
 class _Driven(NamedTuple):
-    """Drives of a shard's cells, and the messages that the cells send, all packed."""
+    """Drives of a shard's cells, or of all, and the messages that the cells send, all packed."""
 
-    drive: bytes
-    sent: bytes
-    message: bytes
+    drive: codec.Contents
+    sent: codec.Contents
+    message: codec.Contents
 
 
 @final
@@ -118,6 +119,11 @@ class RelayedCoordinator(PerShardCoordinator):
         self.blank_drives = [_Driven(*map(bytes, sizes.values())) for sizes in drives]
         self._decoders = [_drive_decoder(sizes, message) for sizes in drives]
         self.decode_drive = self._decode_drive
+        self._together: PayloadBatch | None = None
+        if partition.count > 1 and max(counts) <= _FEW:
+            self.batch = _Drives([FixedLayoutCodec(_places(sizes)) for sizes in drives], drives, message)
+            if not readings.camera:
+                self._together = PayloadBatch(self._senses)
 
     def sense_payloads(self, frame: wire.SenseFrame, relayed: RelayedLinks | None = None) -> list[bytes]:
         """A payload a shard."""
@@ -130,6 +136,8 @@ class RelayedCoordinator(PerShardCoordinator):
             self._silence if relayed is None else relayed.sent.tobytes(),
             self._no_messages if relayed is None else relayed.message.tobytes(),
         )
+        if self._together is not None:
+            return self._together.write(frame.tick, columns)
         rows = zip(
             *([column[cut] for cut in cuts] for column, cuts in zip(columns, self._cuts, strict=True)),
             strict=True,
@@ -164,6 +172,45 @@ class RelayedCoordinator(PerShardCoordinator):
         if live is not None:
             sent = sent & live[self._sources]
         return RelayedLinks(sent[self._route], message[self._route])
+
+
+@final
+class _Drives(DriveBatch):
+    """Drives of all shards at once.
+
+    Args:
+        forms: Layout of each shard's drives.
+        sizes: Bytes of each field of them.
+        message: The protocol's message type.
+    """
+
+    def __init__(
+        self, forms: Sequence[FixedLayoutCodec], sizes: Sequence[dict[str, int]], message: np.dtype[Any]
+    ) -> None:
+        self._payloads = PayloadBatch(forms)
+        self.sizes, self.tick_at = self._payloads.sizes, self._payloads.tick_at
+        self._drive_at, self._sent_at, self._message_at = self._payloads.fields
+        assert list(sizes[0]) == ["drive", "sent", "message"], "this is a bug: other fields than expected"
+        booleans = [self._sent_at]
+        if message.itemsize:
+            booleans += [
+                self._message_at[start :: message.itemsize] for start in _boolean_starts(message).values()
+            ]
+        self._booleans_at = np.concatenate(booleans)
+
+    def stamp(self, tick: int) -> bytes:
+        """Return the bytes of a payload at ``tick_at``."""
+        return self._payloads.stamp(tick)
+
+    def decode(self, payloads: Sequence[bytes]) -> list[Any] | None:
+        """Return the drives and messages of all shards as if they were of one; None where a payload is not valid."""
+        joined = self._payloads.join(payloads)
+        if joined is None or joined.take(self._booleans_at).tobytes().translate(None, _BOOLEANS):
+            return None
+        drive = joined.take(self._drive_at)
+        if not codec.all_finite(drive.view(_NUMBER)):
+            return None
+        return [_Driven(drive.data, joined.take(self._sent_at).data, joined.take(self._message_at).data)]
 
 
 def _routes(outgoing: Sequence[Links], incoming: Sequence[Links]) -> tuple[Index, Index]:
@@ -206,9 +253,14 @@ def _drive_decoder(sizes: dict[str, int], message: np.dtype[Any]) -> Decode:
     return FixedLayoutCodec(_places(sizes)).decoder(driven, decode)
 
 
+def _boolean_starts(message: np.dtype[Any]) -> dict[str, int]:
+    """Return the place of each boolean field in a message."""
+    return {name: field[1] for name, field in (message.fields or {}).items() if field[0].kind == "b"}
+
+
 def _message_check(kind: str, message: np.dtype[Any]) -> Callable[[bytes, bytes], None]:
     """Return a check that raises WireError for marks of sent messages, or boolean fields, that are no booleans."""
-    starts = {name: field[1] for name, field in (message.fields or {}).items() if field[0].kind == "b"}
+    starts = _boolean_starts(message)
 
     def check(sent: bytes, messages: bytes) -> None:
         _check_booleans(kind, "sent", sent)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from hashlib import sha256
+from math import isnan
 from typing import ClassVar, final
 
 import numpy as np
@@ -30,12 +32,20 @@ class Digest:
             anything that may differ between equal runs (partition, transport, paths, wall clock).
     """
 
-    __slots__ = ("value",)
+    __slots__ = ("_drives", "_numbers", "_parcels", "value")
     state_fields: ClassVar[StateFields] = StateFields("value")
 
     def __init__(self, description: bytes) -> None:
         self.value: bytes = sha256(description).digest()
         """The chain so far, 32 bytes."""
+        self._resize((0, 2), (0, 6))
+
+    def _resize(self, drives: tuple[int, ...], parcels: tuple[int, ...]) -> None:
+        """Make room for the numbers of a tick, which is used again for those of the next."""
+        count = math.prod(drives)
+        self._numbers: NDArray[np.float64] = np.empty(count + math.prod(parcels), dtype="<f8")
+        self._drives = self._numbers[:count].reshape(drives)
+        self._parcels = self._numbers[count:].reshape(parcels)
 
     @property
     def hexdigest(self) -> str:
@@ -60,15 +70,17 @@ class Digest:
         Raises:
             DeployError: A NaN, which must have been found long before it came here.
         """
+        if drives.shape != self._drives.shape or parcels.shape != self._parcels.shape:
+            self._resize(drives.shape, parcels.shape)
         # Adding +0 turns minus zero into zero and nothing else.
-        numbers = np.concatenate((drives.ravel(), parcels.ravel())).astype("<f8", copy=False) + 0.0
+        np.add(drives, 0.0, out=self._drives)
+        np.add(parcels, 0.0, out=self._parcels)
         # A maximum is NaN if one number is: one cheap check a tick.
-        if np.isnan(np.maximum.reduce(numbers, initial=-np.inf)):
+        if isnan(np.maximum.reduce(self._numbers, initial=-np.inf)):
             raise _found_nan(tick, drives, parcels)
-        chain = sha256(self.value)
-        chain.update(tick.to_bytes(8, "little"))
-        chain.update(np.packbits(presence, bitorder="little").tobytes())
-        chain.update(numbers.tobytes())
+        bits = np.packbits(presence, bitorder="little").tobytes()
+        chain = sha256(b"".join((self.value, tick.to_bytes(8, "little"), bits)))
+        chain.update(self._numbers.data)
         self.value = chain.digest()
 
 

@@ -89,10 +89,6 @@ class DcMotorSpec(Spec):
         return torque / self.wheel_radius_m / self.stall_force_n_per_v
 
 
-STILL_M_S = 1e-15
-"""A wheel slower than this stands: where it stopped, rounding leaves less."""
-
-
 class FirstOrder(NamedTuple):
     """First-order response of an unloaded wheel to voltage.
 
@@ -177,9 +173,13 @@ class Motors:
     state_fields: ClassVar[StateFields] = StateFields("_volts", "_speed", "_travel")
 
     def __init__(self, spec: MotorsSpec, cells: int, *, loaded: bool = False) -> None:
+        from plant.kernels.wheels import entry  # loads numba: only where a plant is really built
+
+        self._entry: Any = entry
         self._supply_v = spec.supply_v
         self._motor = spec.first_order
         self._rate = 1.0 / self._motor.time_constant_s
+        self._law: Floats = np.array(self._motor[1:])
         self._loaded = loaded
         self._volts: Floats = np.zeros((cells, 2))
         self._speed: Floats = np.zeros((cells, 2))
@@ -187,59 +187,47 @@ class Motors:
 
     def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
         """Motion under the voltages, and how it changes where they act later or wheels stop on the way."""
-        volts: Floats = np.minimum(np.maximum(drives, -self._supply_v), self._supply_v)
+        volts = np.empty_like(drives)
+        self._entry.limited(drives, self._supply_v, volts)
         before, self._volts = self._volts, volts
         slowing = np.zeros((len(volts), 4)) if self._loaded else None
         if acts_s is not None:
-            late = (acts_s > 0.0)[:, None] & (volts != before)
-            if late.any():
-                acts: Floats = np.where(late, acts_s[:, None], np.inf)
-                return self._over(np.where(late, before, volts), volts, acts, span_s, slowing)
-        steady, decay = self._set_off(self._speed, volts)
-        stops = self._stops(self._speed, steady, volts, 0.0, span_s)
+            first, begun_s = np.empty_like(volts), np.empty_like(volts)
+            if self._entry.delayed(volts, before, acts_s, first, begun_s):
+                return self._over(first, volts, begun_s, span_s, slowing)
+        steady, decay, stops = self._set_off(self._speed, volts, 0.0, span_s)
         return WheelRun(WheelMotion(steady, decay, self._rate, slowing), _changes(stops))
 
     def _over(
         self, first: Floats, volts: Floats, acts_s: Floats, span_s: float, slowing: Floats | None
     ) -> WheelRun:
         """Wheels that go over from the voltages ``first`` to others at ``acts_s`` ``(n, 2)``, infinite where not."""
-        steady, decay = self._set_off(self._speed, first)
+        steady, decay, rows = self._set_off(self._speed, first, 0.0, np.minimum(acts_s, span_s))
         motion = WheelMotion(steady, decay, self._rate, slowing)
-        rows = self._stops(self._speed, steady, first, 0.0, np.minimum(acts_s, span_s))
         speed = WheelRun(motion, _changes(rows)).speed(np.where(np.isfinite(acts_s), acts_s, 0.0))
-        steady, decay = self._set_off(speed, volts)
+        steady, decay, stops = self._set_off(speed, volts, acts_s, span_s)
         rows.append(WheelChanges(acts_s, steady, decay))
-        rows += self._stops(speed, steady, volts, acts_s, span_s)
+        rows += stops
         return WheelRun(motion, _changes(rows))
 
-    def _set_off(self, speed: Floats, volts: Floats) -> tuple[Floats, Floats]:
-        """The motion (steady, decay) of wheels at a speed under voltages, until they stop."""
-        gain, coulomb, static = self._motor[1:]
-        if not static:
-            steady = gain * volts
-            return steady, speed - steady
-        moves = np.abs(speed) > STILL_M_S
-        direction = np.sign(np.where(moves, speed, volts))
-        goes = moves | (np.abs(volts) > static)
-        steady = np.where(goes, gain * (volts - coulomb * direction), 0.0)
-        return steady, np.where(goes, speed - steady, 0.0)
+    def _set_off(
+        self, speed: Floats, volts: Floats, begun_s: Floats | float, end_s: Floats | float
+    ) -> tuple[Floats, Floats, list[WheelChanges]]:
+        """The motion (steady, decay) of wheels at a speed under voltages, and how those go on that stop.
 
-    def _stops(
-        self, speed: Floats, steady: Floats, volts: Floats, begun_s: Floats | float, end_s: Floats | float
-    ) -> list[WheelChanges]:
-        """How wheels go on that stop under voltages before ``end_s``: they stand, or turn round.
-
-        From V towards s on the other side of zero it takes ``tau ln(1 + |V / s|)``.
+        Those that stop before ``end_s`` stand, or turn round. From V towards s on the other side of zero it takes
+        ``tau ln(1 + |V / s|)``.
         """
-        if not self._motor.static_v:
-            return []
-        stops = (np.abs(speed) > STILL_M_S) & (speed * np.sign(steady) < 0.0)
-        ratio = np.abs(speed) / np.where(stops, np.abs(steady), 1.0)
-        after = begun_s + self._motor.time_constant_s * np.log1p(ratio)
-        stops &= after < end_s
+        steady, decay, ratio = np.empty_like(volts), np.empty_like(volts), np.empty_like(volts)
+        if not self._entry.set_off(speed, volts, self._law, steady, decay, ratio):
+            return steady, decay, []
+        after_s = begun_s + self._motor.time_constant_s * np.log1p(ratio)
+        stops = after_s < end_s
         if not stops.any():
-            return []
-        return [WheelChanges(np.where(stops, after, np.inf), *self._set_off(np.zeros_like(speed), volts))]
+            return steady, decay, []
+        stood = WheelChanges(np.where(stops, after_s, np.inf), np.empty_like(volts), np.empty_like(volts))
+        self._entry.stand(volts, self._law, stood.steady, stood.decay)
+        return steady, decay, [stood]
 
     def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> Floats | None:
         """Take speed and travel ``span_s`` seconds along ``run``; see ``plant.wheels.Wheels``."""
@@ -247,8 +235,10 @@ class Motors:
         if run.changes is None:
             left = math.exp(-motion.rate * span_s)
             covered = -math.expm1(-motion.rate * span_s) / motion.rate
-            self._travel = begun + motion.steady * span_s + motion.decay * covered
-            self._speed = motion.steady + motion.decay * left
+            self._travel, self._speed = np.empty_like(begun), np.empty_like(begun)
+            self._entry.elapse(
+                motion.steady, motion.decay, begun, span_s, covered, left, self._travel, self._speed
+            )
             passed = None if reads_s is None else begun + run.travel(reads_s)
         elif reads_s is None:
             self._travel, self._speed = begun + run.travel(span_s), run.speed(span_s)
@@ -272,7 +262,11 @@ class Motors:
 
 
 def _changes(rows: list[WheelChanges]) -> WheelChanges | None:
-    """Stack wheel changes; None of an empty list."""
-    if len(rows) == 1:
-        return WheelChanges(*(part[None] for part in rows[0]))
-    return WheelChanges(*(np.stack(parts) for parts in zip(*rows, strict=True))) if rows else None
+    """Put wheel changes together; None of an empty list."""
+    if not rows:
+        return None
+    together = WheelChanges(*(np.empty((len(rows), *part.shape)) for part in rows[0]))
+    for k, row in enumerate(rows):
+        for whole, part in zip(together, row, strict=True):
+            whole[k] = part
+    return together

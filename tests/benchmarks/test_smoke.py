@@ -39,6 +39,10 @@ SCRIPTS: dict[str, Smoke] = {
     "bus/lockstep.py": Smoke(
         "--case 0 --sessions 1 --repeat 2", rf"1 worker, packed +{N} +{N} +{N} +{N} +{N}"
     ),
+    "fast.py": Smoke(
+        "--cells 1000 --workers 1 --turns 1 --seconds 0.1 --picture ''",
+        rf"1 worker, recorded +{N} +{N} +{N} +{N} +{N} +{N} +{N}",
+    ),
     "cells/board_cost.py": Smoke("--cells 18 --turns 1 --budget 0.02", rf"mux +{N} \({N}-{N}\)"),
     "cells/compiled_step.py": Smoke(
         "--cells 18 --turns 1 --budget 0.02", rf"behavioural +18 +{N} +{N} +{N} +{N} +{N}"

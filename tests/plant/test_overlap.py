@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from plant.errors import PlantError
-from plant.geometry import rectangle
-from plant.overlap import OverlapDetector
+from plant.geometry import close_pairs, rectangle
+from plant.overlap import NeighbourList, OverlapDetector
 from plant.plant import Plant
 from tests.plant.scenes import SECOND, TICK_NS, parcel, spec
 
@@ -148,3 +148,17 @@ def test_parcels_that_overlap_by_rounding_are_beside_each_other() -> None:
     assert events == []
     with pytest.raises(PlantError, match="overlap at the start by 1e-08 m"):
         Plant(spec(first, second.model_copy(update={"position_m": (-0.4 - 1e-8, 0.0)})))
+
+
+def test_remembered_neighbours_are_those_of_a_new_search() -> None:
+    rng = np.random.default_rng(3)
+    radius = rng.uniform(0.1, 0.5, 20)
+    there, state, found = _all(20), np.zeros((20, 6)), 0
+    neighbours = NeighbourList(radius)
+    state[:, :2] = rng.uniform(-2.0, 2.0, (20, 2))
+    for _ in range(300):
+        state[:, :2] += rng.normal(scale=0.02, size=(20, 2))
+        pairs = close_pairs(state[:, :2], radius)
+        np.testing.assert_array_equal(neighbours.touching(state, there), pairs)
+        found += len(pairs)
+    assert found > 0
