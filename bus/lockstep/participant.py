@@ -240,8 +240,7 @@ class Participant:
         if control.rejoins_offered:
             control.rejoins_offered = [offer for offer in control.rejoins_offered if not self._offer(offer)]
         sense, links = self._incoming.slots(tick)
-        until = None if timeout_s is None else self._clock() + timeout_s
-        silent_until = None if self._silence_s is None else self._clock() + self._silence_s
+        until, limit = self._limits(timeout_s)
         read = self._inbox.poll
         while True:
             waits = sense.missing > 0
@@ -264,10 +263,7 @@ class Participant:
                 return self._incoming.collect(tick)
             if control.plant_lost:
                 raise CoordinatorLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
-            left, limit = None, until if silent_until is None or until is None else min(until, silent_until)
-            limit = silent_until if limit is None else limit
-            if limit is not None:
-                left = max(limit - self._clock(), 0.0)
+            left = None if limit is None else max(limit - self._clock(), 0.0)
             # Messages end no wait for senses. One that comes after the senses is waited for by its key.
             key = None if waits else self._incoming.awaited_key(tick - 1)
             if not read(left, max(sense.missing, 1), key) and left == 0:
@@ -276,6 +272,17 @@ class Participant:
                 raise CoordinatorLostError(
                     f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
                 )
+
+    def _limits(self, timeout_s: float | None) -> tuple[float | None, float | None]:
+        """Return the ends of the caller's wait, and of the wait by whatever ends first; None: never."""
+        if timeout_s is None and self._silence_s is None:
+            return None, None
+        now = self._clock()
+        until = None if timeout_s is None else now + timeout_s
+        if self._silence_s is None:
+            return until, until
+        silent_until = now + self._silence_s
+        return until, silent_until if until is None else min(until, silent_until)
 
     def _offer(self, joining: Control) -> bool:
         """Report that rejoining cells can be sent to; False if they can't yet."""
