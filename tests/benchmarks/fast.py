@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 # the server that forks the workers knows no other way to find their modules
 os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
 
-from fast_packed import CASES, WARM_TICKS, measure
+from fast_runs import CASES, WARM_TICKS, measure
 
 from deploy.plots.theme import draw_heading, write_picture
 
@@ -31,36 +32,54 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 REAL, BARE = "#2f6f9f", "#c9d3dc"
 
+EACH = """\
+A process a cell. The plant is this process; each cell has a process of its own, as with mdms run --processes each,
+and the wire format is the default of that. Runs are recorded and have their digest. prototype: 18 boards with
+drifting clocks, encoders, PWM, integers, serial lines and watchdogs under a moving parcel. heat: wheel speeds spread
+from two held columns.
+"""
 PACKED = """\
 Packed runs. The plant is this process, with workers beside it as mdms run has them. Up to 10,000 cells a run is
 recorded and has its digest; larger ones have neither. heat: wheel speeds spread from two held columns, ideal wheels,
-one parcel. 50 parcels: the parcels of large on cells with motors and speed loops, all moving. The bare side is plain
-Zenoh code (FifoChannel, recv, put) with as many processes, which exchanges payloads of the same number and sizes and
-reads none of them. A case has a process of its own; its two sides take {turns} turns each of {seconds} s (two ticks at
-least), each first in every other pair, after {warm} ticks to warm up, so that what else the machine does meets both
-alike. "ratio" is the median over pairs of turns, beside the least and the largest; rates and processor time a tick
-(schedstat, all threads; the workers' together) are medians. PSS is of all processes of the run after warming up.
+one parcel. 50 parcels: the parcels of large on cells with motors and speed loops, all moving.
+"""
+COMMON = """\
+The bare side is plain Zenoh code (FifoChannel, recv, put) with as many processes, which exchanges payloads of the same
+number and sizes and reads none of them. A case has a process of its own; its two sides take {turns} turns each of
+{seconds} s (two ticks at least), each first in every other pair, after {warm} ticks to warm up, so that what else the
+machine does meets both alike. "ratio" is the median over pairs of turns, beside the least and the largest; rates and
+processor time a tick (schedstat, all threads; the workers' together) are medians. PSS is of all processes of the run
+after warming up.
 """
 
 
-def packed(options: argparse.Namespace) -> list[Row]:
-    """Measure packed runs, a process a case."""
+def runs(section: str, options: argparse.Namespace) -> list[Row]:
+    """Measure the runs of a section, a process a case."""
     rows: list[Row] = []
-    for number, case in enumerate(CASES):
+    for number, case in enumerate(CASES[section]):
         if options.cells and case.cells not in options.cells:
             continue
         if options.workers and case.workers not in options.workers:
             continue
-        command = [sys.executable, __file__, "--case", str(number), "--turns", str(options.turns)]
+        command = [
+            sys.executable,
+            __file__,
+            "--section",
+            section,
+            "--case",
+            str(number),
+            "--turns",
+            str(options.turns),
+        ]
         command += ["--seconds", str(options.seconds)]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
         rows.append(json.loads(done.stdout))
     return rows
 
 
-def print_packed(rows: list[Row], options: argparse.Namespace) -> None:
-    """Print the method and the figures of packed runs."""
-    print(PACKED.format(turns=options.turns, seconds=options.seconds, warm=WARM_TICKS))
+def print_runs(method: str, rows: list[Row], options: argparse.Namespace) -> None:
+    """Print the method and the figures of runs."""
+    print(method.format(turns=options.turns, seconds=options.seconds, warm=WARM_TICKS))
     heads = (
         "ticks/s",
         "bare",
@@ -94,8 +113,8 @@ def print_packed(rows: list[Row], options: argparse.Namespace) -> None:
         print(f"{name:44}" + "".join(f"{text:>{width}}" for text, width in zip(fields, widths, strict=True)))
 
 
-def draw_packed(rows: list[Row], axes: Axes) -> None:
-    """Draw the rates of packed runs, real and bare, with the goals."""
+def draw_runs(rows: list[Row], axes: Axes) -> None:
+    """Draw the rates of runs, real and bare, with the goals."""
     for place, row in enumerate(rows):
         axes.barh(
             place - 0.2, row["bare"]["ticks_per_s"], 0.36, color=BARE, label="bare" if place == 0 else None
@@ -131,7 +150,12 @@ class Section:
     draw: Callable[[list[Row], Axes], None]
 
 
-SECTIONS = {"packed": Section("Packed runs", packed, print_packed, draw_packed)}
+SECTIONS = {
+    "each": Section("A process a cell", partial(runs, "each"), partial(print_runs, EACH + COMMON), draw_runs),
+    "packed": Section(
+        "Packed runs", partial(runs, "packed"), partial(print_runs, PACKED + COMMON), draw_runs
+    ),
+}
 
 
 def figure_of(found: dict[str, list[Row]]) -> Figure:
@@ -157,11 +181,9 @@ def main() -> None:
     parser.add_argument(
         "--section", action="append", choices=list(SECTIONS), help="only this section; repeatable"
     )
+    parser.add_argument("--cells", type=int, action="append", help="only runs of so many cells; repeatable")
     parser.add_argument(
-        "--cells", type=int, action="append", help="packed: only runs of so many cells; repeatable"
-    )
-    parser.add_argument(
-        "--workers", type=int, action="append", help="packed: only runs with so many; repeatable"
+        "--workers", type=int, action="append", help="only runs with so many workers; repeatable"
     )
     parser.add_argument("--turns", type=int, default=9, help="turns of each side")
     parser.add_argument("--seconds", type=float, default=1.0, help="length of a turn")
@@ -170,7 +192,8 @@ def main() -> None:
     parser.add_argument("--case", type=int, help=argparse.SUPPRESS)  # in a process of its own
     options = parser.parse_args()
     if options.case is not None:
-        print(json.dumps(measure(CASES[options.case], options.turns, options.seconds)))
+        (section,) = options.section
+        print(json.dumps(measure(CASES[section][options.case], options.turns, options.seconds)))
         return
     found = {name: SECTIONS[name].measure(options) for name in options.section or SECTIONS}
     if options.json:

@@ -79,7 +79,8 @@ class BareExchange:
         session = self._hub.session
         self._payloads = [bytes(size) for size in exchange.senses]
         self._drives = session.declare_subscriber("bare/drive/*", handlers.FifoChannel(CAPACITY))
-        context = multiprocessing.get_context("spawn")
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["fast_bare"])
         self._workers = [
             context.Process(target=_work, args=(exchange, worker, self._hub.locator), daemon=True)
             for worker in range(len(exchange.senses))

@@ -1,4 +1,4 @@
-"""Packed runs of 1,000 to 1,000,000 cells, for ``fast.py``: each beside a bare exchange of the same bytes."""
+"""Runs with a process a cell and packed runs, for ``fast.py``, beside a bare exchange of the same bytes."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from typing import Any
 from fast_bare import BareExchange, Exchange
 
 from bus.partition import Partition
+from bus.wire.formats import WireFormat
 from cell_firmware.loader import load
 from deploy.recordings.digest import Digest
 from deploy.recordings.run_log import RunLog
@@ -35,16 +36,17 @@ WARM_TICKS = 5
 
 
 @dataclass(frozen=True)
-class PackedCase:
+class Case:
     """A run to measure.
 
     Attributes:
         title: What it is.
         scene: Name of a bundled scene.
-        rows, columns: Of the array.
+        rows, columns: Of the array; 0: the scene's, with a cell a worker.
         workers: Processes of cells.
         recorded: Whether it is recorded.
         changes: Further values of the scene.
+        form: Wire format.
         must: Least ratio to the bare rate; None: it is only printed.
         goal: Ticks a second to reach on two quiet cores; None: none.
     """
@@ -56,22 +58,20 @@ class PackedCase:
     workers: int
     recorded: bool
     changes: tuple[tuple[str, Any], ...] = ()
+    form: WireFormat = "packed"
     must: float | None = None
     goal: float | None = None
 
     @property
     def cells(self) -> int:
         """Number of cells."""
-        return self.rows * self.columns
+        return self.rows * self.columns if self.rows else self.workers
 
     def loaded(self) -> Scene:
         """Return the scene."""
-        values = (
-            ("duration_s", 1e5),
-            ("array.rows", self.rows),
-            ("array.columns", self.columns),
-            *self.changes,
-        )
+        values = (("duration_s", 1e5), *self.changes)
+        if self.rows:
+            values += (("array.rows", self.rows), ("array.columns", self.columns))
         return load_scene(self.scene, [Override(tuple(key.split(".")), value, key) for key, value in values])
 
 
@@ -88,34 +88,45 @@ MOVING = (("effects.motors", {}), *_diffusion(100, 10))
 """Motors, speed loops and diffusion under the parcels of ``large``, which all end up at the speed of held columns."""
 
 
-def _cases() -> Iterator[PackedCase]:
-    """Yield all cases: each size with one worker and with two, and what is asked of 10,000 cells."""
+def _packed() -> Iterator[Case]:
+    """Yield packed cases: each size with one worker and with two, and what is asked of 10,000 cells."""
     sizes = ((25, 40, True, 0.6, 2500.0), (100, 100, True, 0.6, None), (250, 400, False, 0.4, 100.0))
     for rows, columns, recorded, must, goal in (*sizes, (1000, 1000, False, 0.4, 8.0)):
         for workers in (1, 2):
             title = f"heat, {rows * columns:,} cells, {workers} worker{'s' * (workers > 1)}"
             changes = _diffusion(columns, columns - 1)
-            yield PackedCase(title, "heat", rows, columns, workers, recorded, changes, must, goal)
+            yield Case(title, "heat", rows, columns, workers, recorded, changes, "packed", must, goal)
     for workers in (1, 2):
         title = f"50 parcels, motors, 10,000 cells, {workers} worker{'s' * (workers > 1)}"
-        yield PackedCase(title, "large", 100, 100, workers, True, MOVING, None, 500.0)
+        yield Case(title, "large", 100, 100, workers, True, MOVING, "packed", None, 500.0)
 
 
-CASES = tuple(_cases())
+def _each() -> Iterator[Case]:
+    """Yield cases with a process a cell: the boards of the prototype, and heat on more and more cells."""
+    yield Case("prototype, 18 processes", "prototype", 0, 0, 18, True, (), "relayed", 0.5, 600.0)
+    for rows, columns in ((3, 6), (8, 8), (8, 16), (16, 16)):
+        processes = rows * columns
+        title = f"heat, {processes} processes"
+        parcel = {"size_m": [0.2, 0.2], "mass_kg": 1.0, "position_m": [0.0, 0.0]}
+        changes = (("parcels", [parcel]), *_diffusion(columns, columns - 1))
+        yield Case(title, "heat", rows, columns, processes, True, changes, "relayed", 0.6)
+
+
+CASES = {"each": tuple(_each()), "packed": tuple(_packed())}
 
 
 class Run:
     """The real run: workers with real cells, and the plant in this process, as ``mdms run`` has them."""
 
-    def __init__(self, case: PackedCase, stack: ExitStack) -> None:
+    def __init__(self, case: Case, stack: ExitStack) -> None:
         scene = case.loaded()
-        self.simulation = stack.enter_context(Simulation.open(scene, Workers(case.workers, "packed")))
+        self.simulation = stack.enter_context(Simulation.open(scene, Workers(case.workers, case.form)))
         self._process = self.simulation.process
         plant = self.simulation.plant
         message = load(scene.cells).message
         self.exchange = Exchange.of(
             Partition.even(plant.array.lattice, case.workers),
-            "packed",
+            case.form,
             sensor_schema(scene, plant.sense()),
             message,
         )
@@ -202,7 +213,7 @@ class Turns:
         }
 
 
-def measure(case: PackedCase, turns: int, seconds: float) -> dict[str, Any]:
+def measure(case: Case, turns: int, seconds: float) -> dict[str, Any]:
     """Return the figures of a case, taken in this process."""
     real, bare = Turns([], [], []), Turns([], [], [])
     with ExitStack() as stack:
