@@ -52,6 +52,7 @@ class ImplicitWorkspace(NamedTuple):
     scratch: Floats
     newton: Floats
     wheels: Floats
+    limits: NDArray[np.int64]
     start: Floats
     velocity: Floats
     trial: Floats
@@ -108,6 +109,7 @@ def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
         law=np.zeros(implicit_layout.LAW_SIZE),
         pace=np.zeros(implicit_layout.PACE_SIZE),
         wheels=np.zeros((capacity, implicit_layout.WHEEL_SIZE)),
+        limits=np.zeros((capacity, 2), dtype=np.int64),
         start=np.zeros(3),
         velocity=np.zeros(3),
         trial=np.zeros(3),
@@ -183,7 +185,10 @@ def locate(
             parcel.par[[layout.LIMIT, layout.LIMIT_PER_SHARE]] = 0.0
             parcel.par[layout.FREE_SPEED] = traction.free_speed
             law[implicit_layout.LOCATED] = 1.0
-        law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
+        if effects.load_transfer is None:
+            law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
+        return
+    if effects.load_transfer is not None:
         return
     set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
     # what the kernels of ``exact`` don't know of: where wheels change branch, and the motion along a surface
@@ -252,8 +257,7 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
             self._laws[i] = coefficients(traction, mass_kg, scene.gravity_m_s2)
             load_wheels(scene, self._laws[i], mass_kg)
             self._paces[i] = first_pace(parcel, spec)
-            # loads that traction shifts change all along a step, not where the parcel moves alone
-            if spec.step_s is None and self._edges is None and self._transfer is None:
+            if spec.step_s is None and self._edges is None:
                 locate(self._laws[i], self._paces[i], parcel, traction, mass_kg, scene, spec)
 
     def _make_workspace(self) -> ImplicitWorkspace:

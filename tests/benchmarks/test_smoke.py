@@ -81,6 +81,7 @@ SCRIPTS: dict[str, Smoke] = {
         "--turns 1 --parcels 25 --side 150", rf"plant, ticks +{N} +{N} +{N} +{N} +{N} +{N}"
     ),
     "plant/mujoco_parcel.py": Smoke("--repeats 1", rf"facts\n\n(.*\n)*.*{N}"),
+    "plant/coulomb_effects.py": Smoke("--seeds 1", rf"load_transfer, motors +1e-08 +{N} +{N} +\d+"),
     "plant/coulomb_events.py": Smoke("--seeds 2", rf"1e-10 +{N} +{N} +\d+"),
     "plant/spinning_parcels.py": Smoke("--scenes 21 --turns 1", rf"worst {N} .*within 10: 100.0%"),
     "plant/solvers_compared.py": Smoke("--runs 1", rf"0\.025 +{N}"),

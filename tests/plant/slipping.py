@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -32,9 +33,18 @@ def make_scene(seed: int, solver: dict[str, Any]) -> tuple[Plant, Floats]:
 
 
 def make_wide_scene(
-    seed: int, solver: dict[str, Any], law: FrictionSpec, spin_rad_s: float, *, motors: bool = False
+    seed: int,
+    solver: dict[str, Any],
+    law: FrictionSpec,
+    spin_rad_s: float,
+    *,
+    motors: bool = False,
+    others: Mapping[str, object] | None = None,
 ) -> tuple[Plant, Floats]:
-    """A parcel on 196 cells, sliding and turning, and one of four kinds of field; or the voltages of slow motors."""
+    """A parcel on 196 cells, sliding and turning, and one of four kinds of field; or the voltages of slow motors.
+
+    With the ``others`` among the effects.
+    """
     draw = np.random.default_rng([seed, 11])
     body = parcel(
         size_m=tuple(draw.uniform(0.3, 0.7, 2)),
@@ -43,7 +53,9 @@ def make_wide_scene(
         velocity_m_s=tuple(draw.uniform(-0.5, 0.5, 2)),
         angular_velocity_rad_s=draw.uniform(-spin_rad_s, spin_rad_s),
     )
-    effects = {"motors": {"time_constant_s": 0.05, "speed_per_volt_m_s": 0.05}} if motors else {}
+    effects: dict[str, object] = dict(others or {})
+    if motors:
+        effects["motors"] = {"time_constant_s": 0.05, "speed_per_volt_m_s": 0.05}
     plant = solved(solver, body, law=law, effects=effects, rows=14, columns=14, pitch_m=0.12)
     place = plant.array.positions_m
     field = (
@@ -71,10 +83,15 @@ def controlled(tolerance: float) -> dict[str, Any]:
     return {"name": "implicit", "tolerance": tolerance, "capture_m": 0.1 * tolerance}
 
 
+def distance_m_of(state: Floats, known: Floats) -> float:
+    """How far a state is from a known one at the footprint, m."""
+    off = np.abs(state - known)
+    return float(np.hypot(off[0], off[1]) + RADIUS_M * off[2])
+
+
 def distance_m(plant: Plant, known: Floats) -> float:
     """How far the parcel is from a known state at the footprint, m."""
-    off = np.abs(plant.state[0] - known)
-    return float(np.hypot(off[0], off[1]) + RADIUS_M * off[2])
+    return distance_m_of(plant.state[0], known)
 
 
 def off_m(seed: int, solver: dict[str, Any], known: Floats) -> float:

@@ -9,7 +9,14 @@ from plant.friction.coulomb import Coulomb
 from tests.plant.filippov import Filippov, LiftedError
 from tests.plant.laws import COULOMB, DAMPED, MU, STATIC
 from tests.plant.scenes import SECOND, Floats, G, bench, parcel, solved
-from tests.plant.slipping import controlled, make_scene, make_wide_scene, off_m, solve_reference
+from tests.plant.slipping import (
+    controlled,
+    distance_m_of,
+    make_scene,
+    make_wide_scene,
+    off_m,
+    solve_reference,
+)
 
 SEEDS = range(60)
 """Scenes tried; those in which a support is lifted are beyond the reference."""
@@ -115,6 +122,46 @@ def test_coulomb_keeps_its_tolerance_on_wheels_that_lag_and_under_parcels_that_s
             plant.advance(drives, SECOND // 2)
             ends.append(plant.state[0])
         assert ends[0] == pytest.approx(ends[1], abs=1e-6), seed
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    ("others", "motors", "seeds"),
+    [
+        ({"contact_width": {"width_m": 0.012}}, False, (0, 9, 14, 19)),
+        ({"load_transfer": {"centre_of_mass_height_m": 0.06}}, True, (6, 16)),
+        ({"wheel_load": {"inertia_kg": 0.05}}, True, (4, 16)),
+    ],
+    ids=["contact_width", "load_transfer", "wheel_load"],
+)
+def test_coulomb_keeps_within_ten_tolerances_with_effects_on_loads_and_wheels(
+    others: dict[str, object], motors: bool, seeds: tuple[int, ...]
+) -> None:
+    """Scenes in which a wheel stands beside a corner, a corner clips a cell, and a slip ends where a cell leaves."""
+    for seed in seeds:
+        ends: list[Floats] = []
+        for tolerance in (1e-6, 1e-8, 1e-9):
+            plant, drives = make_wide_scene(
+                seed, controlled(tolerance), COULOMB, 10.0, motors=motors, others=others
+            )
+            plant.advance(drives, SECOND // 2)
+            ends.append(plant.state[0])
+        assert distance_m_of(ends[0], ends[2]) < 1e-5, seed
+        assert distance_m_of(ends[1], ends[2]) < 1e-7, seed
+
+
+@pytest.mark.slow
+def test_wheels_in_a_row_about_one_that_sticks_cease_to_slip_at_one_instant() -> None:
+    """Three on a line do where the parcel turns as the field does. Then the static limit holds all."""
+    law = Coulomb(law="coulomb", coefficient=MU, static_coefficient=0.45, viscous_n_s_per_m=0.1)
+    ends: list[Floats] = []
+    for tolerance in (1e-9, 1e-10, 1e-11):
+        plant, drives = make_wide_scene(13, controlled(tolerance), law, 30.0)
+        plant.advance(drives, SECOND // 2)
+        ends.append(plant.state[0])
+    assert distance_m_of(ends[0], ends[2]) < 1e-9
+    assert distance_m_of(ends[1], ends[2]) < 1e-10
 
 
 @pytest.mark.slow

@@ -40,19 +40,20 @@ NOW: Final = 9  # time of the instant at which accelerations are asked for, s (c
 PACE_SIZE: Final = 10
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
-AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED, SIDE_X, SIDE_Y = range(16)
+AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED, SIDE_X, SIDE_Y, CELL = range(17)
 """Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b`` and ``c`` along each axis, equal
 where both axes share one limit; multipliers L. Forces without a limit are ``G - K v``: the law's push and viscous part,
 and other resistance to the underside's motion. ``SUMMED`` is the size of the terms that the free speeds are sums of:
 they may cancel, their rounding does not. ``SIDE_X`` and ``SIDE_Y`` are 1 or -1 where the wheel sticks
-as the step begins and slips that way at its end, else 0."""
-WHEEL_SIZE: Final = 16
+as the step begins and slips that way at its end, else 0. ``CELL`` is which cell it is."""
+WHEEL_SIZE: Final = 17
 
 # ── first: float64 findings about a step: the change of velocity in its first part, then
 REGIME: Final = 3  # which wheels are at their limits there
 SLIPPED: Final = 4  # the largest slip in the step of a wheel that sticks where it begins, m/s
 OUTSIDE: Final = 5  # how far a captured group's fraction leaves [0, 1] in it, at most
-FIRST_SIZE: Final = 6
+LISTED_FIRST: Final = 6  # how many wheels pull in it
+FIRST_SIZE: Final = 7
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

@@ -41,6 +41,10 @@ def unshift(surface):
     """Take the load's centre for the centre of mass. Returns whether it was another."""
 
 
+def foreseen(surface):
+    """Whether the loads along a step follow from the motion alone."""
+
+
 def rate(surface, cell):
     """Rate of a cell's spring over the mean one's."""
 
@@ -138,6 +142,11 @@ def _none(_surface):
 @implements(unshift, "transfer", own=False)
 def _never_another(_surface):
     return False
+
+
+@implements(foreseen, "transfer", own=False)
+def _by_pose(_surface):
+    return True
 
 
 @implements(rate, "springs", own=False)

@@ -2,8 +2,9 @@
 
 Only a solver whose scene asks for it imports this; kernels for wheels without width are compiled without it.
 
-A cell whose centre is ``d`` inside the nearest edge counts by ``u^2 (3 - 2 u)``, ``u = 1/2 + d / width`` within [0, 1]:
-nothing where the wheel just touches the edge, one half where its middle is on it.
+A cell whose centre is ``d`` inside an edge counts by ``u^2 (3 - 2 u)``, ``u = 1/2 + d / width`` within [0, 1]: nothing
+where the wheel just touches the edge, one half where its middle is on it. Beside a corner the factors of both edges
+count: the nearest alone would have a kink where another becomes the nearest.
 """
 
 from __future__ import annotations
@@ -32,12 +33,13 @@ def _weigh(surface, parcel, slot, c, s):
     cell, normal, offset = parcel.mem[slot, at.CELL], parcel.normal, parcel.offset
     dx, dy = surface.pos[cell, 0] - parcel.y[0], surface.pos[cell, 1] - parcel.y[1]
     qx, qy = c * dx + s * dy, -s * dx + c * dy
-    depth = 1e300
+    share = 1.0
     for edge in range(offset.shape[0]):
-        depth = min(depth, offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy)
-    u = max(0.0, min(1.0, 0.5 + depth / surface.edges.width_m))
-    surface.edges.share[slot] = u * u * (3.0 - 2.0 * u)
-    return surface.edges.share[slot] > NOTHING
+        depth = offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy
+        u = max(0.0, min(1.0, 0.5 + depth / surface.edges.width_m))
+        share *= u * u * (3.0 - 2.0 * u)
+    surface.edges.share[slot] = share
+    return share > NOTHING
 
 
 @implements(overlap, "edges", own=True)

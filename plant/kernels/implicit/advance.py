@@ -1,8 +1,8 @@
 """The implicit solver's loop of one parcel: steps, and what changed.
 
-Controlled steps end at the first change of supports in them (``located``). Steps of a given length, those on wheels
-with a width, whose supports change without a jump, and those whose traction shifts the loads, take the supports of the
-pose that each of their parts begins at: there, cells enter and leave, loads vanish and return, at the ends of steps.
+Controlled steps end at the first change of supports in them (``located``). Steps of a given length, and those on wheels
+with a width, whose supports change without a jump, take the supports of the pose that each of their parts begins at:
+there, cells enter and leave, loads vanish and return, at the ends of steps.
 """
 
 from __future__ import annotations

@@ -8,6 +8,11 @@ from __future__ import annotations
 
 from plant.kernels.common import layout as at
 from plant.kernels.common.hooks import implements
+from plant.kernels.implicit.supports import carry_supports
+
+
+def hold_supports(surface, parcel, work):
+    """Loads where the parcel is, on the cells that were under it where the step began. Returns the status."""
 
 
 def begin_balance(surface):
@@ -20,6 +25,12 @@ def balance(surface, parcel, work, ax, ay, noise):
     ``noise`` is the rounding of that acceleration. Returns MOVING where they were there, UNBALANCED where the traction
     is to be found again, TIPPED where no loads balance it, NOT_SOLVED where none were found.
     """
+
+
+@implements(hold_supports, "transfer", own=False)
+def _carry(_surface, parcel, work):
+    carry_supports(parcel, work)
+    return at.MOVING
 
 
 @implements(begin_balance, "transfer", own=False)

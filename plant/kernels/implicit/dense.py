@@ -11,10 +11,11 @@ from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import lever, pulls
+from plant.kernels.implicit.balance_hooks import balance, begin_balance, hold_supports
 from plant.kernels.implicit.extrapolation import euler
 from plant.kernels.implicit.step import EPSILON, INSTANT, grasp, press, pull, unlimited
 from plant.kernels.implicit.stiction_hooks import find_velocity
-from plant.kernels.implicit.supports import carry_supports, decay
+from plant.kernels.implicit.supports import decay
 
 DEGREE = 5
 """Of a position."""
@@ -52,7 +53,7 @@ def to_rates(surface, parcel, work, e):
 
 
 @kernel
-def accelerate_by_rule(surface, parcel, work, now):
+def by_rule(surface, parcel, work, now):
     """Acceleration where wheels stick or slip as their branches say, into ``work.velocity``, by Gauss's principle.
 
     Of all forces within the limits those act that leave the least rates of slip: a step's problem, of one second from
@@ -66,27 +67,9 @@ def accelerate_by_rule(surface, parcel, work, now):
 
 
 @kernel
-def accelerate(surface, parcel, work, now, acceleration):
-    """Acceleration where the parcel is, at ``now``, with the supports of the step, into ``acceleration[:3]``.
-
-    By a step of an instant where a force has no formula: at no slip, or on a wheel that gives way.
-    """
+def by_formula(surface, parcel, work, now):
+    """Acceleration, into ``work.velocity``, by forces that follow from the slips."""
     y, w, arm, law = parcel.y, work.velocity, work.pace[im.GYRATION], work.law
-    carry_supports(parcel, work)
-    if law[im.SET_VALUED] != 0.0 and law[im.LOCATED] != 0.0:
-        accelerate_by_rule(surface, parcel, work, now)
-        acceleration[0], acceleration[1], acceleration[2] = w[0], w[1], w[2] / arm
-        return
-    if law[im.SET_VALUED] != 0.0 or law[im.WHEEL] != 0.0:
-        for k in range(6):
-            work.state[k] = y[k]
-        euler(surface, parcel, work, now + INSTANT, INSTANT)
-        for k in range(3):
-            acceleration[k] = (y[at.UX + k] - work.state[at.UX + k]) / INSTANT
-        for k in range(6):
-            y[k] = work.state[k]
-        carry_supports(parcel, work)
-        return
     w[0], w[1], w[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
     count = grasp(surface, parcel, work, law, decay(parcel.par, now), at.NOTHING)
     along_x = along_y = turn = 0.0
@@ -98,7 +81,41 @@ def accelerate(surface, parcel, work, now, acceleration):
         along_x += fx
         along_y += fy
         turn += row[im.AX] * fx + row[im.AY] * fy
-    acceleration[0], acceleration[1], acceleration[2] = along_x, along_y, turn / arm
+    w[0], w[1], w[2] = along_x, along_y, turn
+
+
+@kernel
+def accelerate(surface, parcel, work, now, acceleration):
+    """Acceleration where the parcel is, at ``now``, with the supports of the step, into ``acceleration[:3]``.
+
+    By a step of an instant where a force has no formula: at no slip, or on a wheel that gives way. Returns the status:
+    TIPPED where no loads balance the traction.
+    """
+    y, w, law = parcel.y, work.velocity, work.law
+    hold_supports(surface, parcel, work)
+    ruled = law[im.SET_VALUED] != 0.0 and law[im.LOCATED] != 0.0
+    if not ruled and (law[im.SET_VALUED] != 0.0 or law[im.WHEEL] != 0.0):
+        for k in range(6):
+            work.state[k] = y[k]
+        status, _, _ = euler(surface, parcel, work, now + INSTANT, INSTANT)
+        for k in range(3):
+            acceleration[k] = (y[at.UX + k] - work.state[at.UX + k]) / INSTANT
+        for k in range(6):
+            y[k] = work.state[k]
+        hold_supports(surface, parcel, work)
+        return status
+    begin_balance(surface)
+    while True:
+        if ruled:
+            by_rule(surface, parcel, work, now)
+        else:
+            by_formula(surface, parcel, work, now)
+        noise = 8.0 * EPSILON * (abs(w[0]) + abs(w[1]))
+        status = balance(surface, parcel, work, w[0], w[1], noise)
+        if status != im.UNBALANCED:
+            break
+    acceleration[0], acceleration[1], acceleration[2] = w[0], w[1], w[2] / work.pace[im.GYRATION]
+    return status
 
 
 @kernel

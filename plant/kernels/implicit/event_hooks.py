@@ -1,16 +1,17 @@
 """Hooks for events within a step: only what an effect leaves to be located is compiled with it.
 
-Where loads change all along a step, on wheels with a width (``edges``) or below a tall parcel (``transfer``), no change
-is located. Where wheels differ from the exact solver's, the motion along a captured surface is stepped (``sliding``).
+On wheels with a width (``edges``), whose supports change without a jump, no change is located. Where wheels differ from
+the exact solver's, the motion along a captured surface is stepped (``sliding``) or, below a tall parcel (``transfer``),
+not captured.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-UNLOCATED: Final = ("edges", "transfer")
+UNLOCATED: Final = ("edges",)
 """Parts of a surface with which no step ends at an event."""
-UNCAPTURED: Final = ("springs", "factors", "drag", "stiction")
+UNCAPTURED: Final = ("springs", "factors", "drag", "stiction", "transfer")
 """Parts of a surface with which the motion along a captured surface has no series."""
 
 

@@ -14,13 +14,22 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.motion import solve
-from plant.kernels.common.springs import smooth
-from plant.kernels.implicit.balance_hooks import balance, begin_balance
+from plant.kernels.common.springs import foreseen, smooth
+from plant.kernels.implicit.balance_hooks import balance, begin_balance, hold_supports
 from plant.kernels.implicit.hooks import extrapolate, slow, tabulate, take_back
-from plant.kernels.implicit.step import EPSILON, INSTANT, ROUNDED, grasp, largest_slip, regime
+from plant.kernels.implicit.step import (
+    EPSILON,
+    INSTANT,
+    ROUNDED,
+    grasp,
+    largest_slip,
+    limits_changed,
+    note_limits,
+    regime,
+)
 from plant.kernels.implicit.step_events import same
 from plant.kernels.implicit.stiction_hooks import commit_grips, find_velocity, restore_grips
-from plant.kernels.implicit.supports import carry_supports, decay, find_loads
+from plant.kernels.implicit.supports import decay, find_loads
 
 PARTS = 4
 """Into how many parts a controlled step is cut at most."""
@@ -47,8 +56,7 @@ SHORT = 1e-4
 def supports_here(surface, parcel, work):
     """Find the loads where the parcel is on the way of a step, its supports held if they are. Returns the status."""
     if work.pace[im.LOCATES] != 0.0:
-        carry_supports(parcel, work)
-        return at.MOVING
+        return hold_supports(surface, parcel, work)
     return find_loads(surface, parcel, work)
 
 
@@ -209,6 +217,8 @@ def cut(surface, parcel, work, now, h, parts):
             work.first[im.OUTSIDE] = max(work.first[im.OUTSIDE], outside(parcel, work))
         if j == 0:
             work.first[im.REGIME] = wheels
+            if parts == PARTS and smooth(surface):
+                note_limits(work, pulling, work.law[im.ISOTROPIC], work.velocity)
             for k in range(3):
                 work.first[k] = y[at.UX + k] - work.begin[at.UX + k]
         if not finite(y):
@@ -259,20 +269,38 @@ def unseen(surface, parcel, work, now, h, before):
         return 0.0 if h <= INSTANT else 1e300
     for k in range(6):
         work.end[k] = y[k]
-    _, wheels, _ = euler(surface, parcel, work, now + h + part, part)
+    _, wheels, pulling = euler(surface, parcel, work, now + h + part, part)
     for k in range(3):
         error[at.UX + k] = (y[at.UX + k] - work.end[at.UX + k]) - first[k]
     for k in range(6):
         y[k] = work.end[k]
     alike = work.pace[im.LOCATES] != 0.0 or same(parcel, work, before)
     wrong = 0.0
-    if (wheels != first[im.REGIME] and alike) or not (alike or smooth(surface)):
+    changed = not alike or wheels != first[im.REGIME]
+    if not alike and smooth(surface):
+        # cells come and go without load: those count that stay
+        changed = limits_changed(work, pulling, work.law[im.ISOTROPIC], work.velocity)
+    if changed:
         wrong = LASTS * length(error, at.UX, parcel)
     if first[im.REGIME] != work.begun[3]:
         for k in range(3):
             error[at.UX + k] = first[k] - part * work.begun[k]
         wrong = max(wrong, LASTS * length(error, at.UX, parcel))
     return wrong
+
+
+@kernel
+def tips_next(surface, parcel, work, now, h):
+    """Whether the parcel tips in one more part after the step just taken: its last part had no look at its end."""
+    y, part = parcel.y, h / PARTS
+    for k in range(6):
+        work.end[k] = y[k]
+    status = supports_here(surface, parcel, work)
+    if status == at.MOVING:
+        status, _, _ = euler(surface, parcel, work, now + h + part, part)
+    for k in range(6):
+        y[k] = work.end[k]
+    return status == at.TIPPED
 
 
 @kernel
@@ -289,6 +317,8 @@ def controlled(surface, parcel, work, now, h, before):
         allowed = pace[im.TOLERANCE] * max(h, JUMP) + rounding(parcel.y)
         if status == at.MOVING and error <= allowed and blind:
             error = max(error, unseen(surface, parcel, work, now, h, before))
+        if not foreseen(surface) and status == at.MOVING and error <= allowed and h > INSTANT:
+            error = 1e300 if tips_next(surface, parcel, work, now, h) else error
         factor = 5.0 if error == 0.0 else min(5.0, max(0.1, 0.8 * (allowed / error) ** 0.25))
         if status == at.MOVING and error <= allowed:
             pace[im.NEXT] = max(pace[im.NEXT], h) if factor >= 1.0 and h < pace[im.NEXT] else h * factor

@@ -30,11 +30,10 @@ from plant.kernels.common.branches import jumps, settle_branches
 from plant.kernels.common.capture import depth, edge_motion, slot_of
 from plant.kernels.common.changes import apply
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.loads import settle
 from plant.kernels.common.modes import least_share
 from plant.kernels.common.series import taylor
 from plant.kernels.common.sliding_validity import watch
-from plant.kernels.common.springs import gap, negligible, note_gaps, plane_at
+from plant.kernels.common.springs import foreseen, gap, negligible, note_gaps, plane_at
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.common.wheel_direction import next_turn
 from plant.kernels.implicit.dense import expand
@@ -51,9 +50,16 @@ from plant.kernels.implicit.slips import (
     slip_motion,
     until_one_slips,
 )
-from plant.kernels.implicit.step_events import note_outrun
+from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
 from plant.kernels.implicit.stiction_hooks import keep_grips, restore_grips
-from plant.kernels.implicit.supports import carry_supports, corner_speed, decay, longest, note_centroid
+from plant.kernels.implicit.supports import (
+    carry_supports,
+    corner_speed,
+    decay,
+    longest,
+    note_centroid,
+    settle_loads,
+)
 
 TRAVEL = 1.0
 """Pitches that a corner may move in a step: no event is looked for farther ahead."""
@@ -80,7 +86,7 @@ def prepare(surface, parcel, work, now, events):
 @kernel
 def prepare_uncaptured(surface, parcel, work, now):
     """Loads, and branches of the law. Returns the status."""
-    status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    status = settle_loads(surface, parcel, work)
     if status == at.MOVING and work.law[im.LOCATED] != 0.0:
         if jumps(parcel.par):
             settle_slips(surface, parcel, decay(parcel.par, now))
@@ -373,10 +379,13 @@ def step(surface, parcel, work, now, left, events):
         work.begin[k] = y[k]
     keep(work)
     keep_grips(surface, parcel, work, decay(parcel.par, now))
-    accelerate_along(surface, parcel, work, now, work.begun)
+    before = remember(parcel, work) if not foreseen(surface) else at.ZERO
+    status = accelerate_along(surface, parcel, work, now, work.begun)
     while slips and give_way(surface, parcel, work):
         # a wheel that slips may pull with less than it held, and others give way in turn
-        accelerate_along(surface, parcel, work, now, work.begun)
+        status = accelerate_along(surface, parcel, work, now, work.begun)
+    if status == at.TIPPED:
+        return status, 0.0, at.ONE
     share, _, _ = least_share(parcel, work)
     most = look_ahead(surface, parcel, work, now, left)
     status, h, attempts = controlled(surface, parcel, work, now, most, at.ZERO)
@@ -410,6 +419,10 @@ def step(surface, parcel, work, now, left, events):
                 y[k] = work.begin[k]
         return status, 0.0, attempts
     carry_supports(parcel, work)
+    if not foreseen(surface):
+        # which cells carry load changes without a jump, and is looked at as the step ends
+        status = settle_loads(surface, parcel, work)
+        note_changes(parcel, work, before, now + h, events)
     strike(surface, parcel, work, now, h)
     if count > 0:
         together = first * (1.0 + 1e-13) + 1e-15

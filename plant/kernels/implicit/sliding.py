@@ -114,12 +114,12 @@ def _mix(work, surface, parcel, e, c, s):
 def accelerate_along(surface, parcel, work, now, acceleration):
     """As ``dense.accelerate``, along captured surfaces if there are any."""
     if parcel.ctl[at.N_GROUPS] == 0:
-        accelerate(surface, parcel, work, now, acceleration)
-        return
+        return accelerate(surface, parcel, work, now, acceleration)
     work.pace[im.NOW] = now
     surfaces(surface, parcel, work.grp)
     c, s = cos(parcel.y[at.THETA]), sin(parcel.y[at.THETA])
     acceleration[0], acceleration[1], acceleration[2], _ = mix_instant(surface, parcel, work, c, s)
+    return at.MOVING
 
 
 @kernel

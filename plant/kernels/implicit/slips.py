@@ -70,8 +70,21 @@ def give_way(surface, parcel, work):
 
 
 @kernel
+def slip_rate(surface, y, par, acceleration, e, cell, axis):
+    """How fast a wheel's slip changes, m/s^2."""
+    rate = -par[at.RATE] * e * par[at.FREE_SPEED] * surface.decay[cell, axis]
+    rate -= acceleration[axis] + lever(surface, y, cell, axis) * acceleration[2]
+    # the lever changes as the centre of mass moves
+    return rate + y[at.OMEGA] * (y[at.UX] if axis == 1 else -y[at.UY])
+
+
+@kernel
 def end_slips(surface, parcel, work, count, together, e):
-    """Have wheels stick whose slip ended: those of the events up to ``together``, and all that slip no more."""
+    """Have wheels stick whose slip ended: those of the events up to ``together``, and all that slip no more.
+
+    So do those whose slip is of no account and ends next. Wheels in a row about one that sticks cease to slip at one
+    instant. Were each to stick by itself, the first could be asked for more than it holds, and give way at once.
+    """
     mem, par = parcel.mem, parcel.par
     for k in range(count):
         if work.found[k, at.EV_KIND] == at.SWITCH and work.found[k, at.EV_TIME] <= together:
@@ -81,7 +94,9 @@ def end_slips(surface, parcel, work, count, together, e):
     for i in range(parcel.ctl[at.N_MEMBERS]):
         for axis in range(2):
             slip, zero = slip_now(surface, parcel.y, par[at.FREE_SPEED], e, mem[i, at.CELL], axis)
-            if mem[i, at.BRANCH + axis] * slip < -slight(par, zero):
+            side, none = mem[i, at.BRANCH + axis], slight(par, zero)
+            rate = side * slip_rate(surface, parcel.y, par, work.before, e, mem[i, at.CELL], axis)
+            if side * slip < -none or (side * slip <= none and rate < 0.0):
                 mem[i, at.BRANCH + axis] = 0
 
 
@@ -111,17 +126,13 @@ def side_of(parcel, cell, axis):
 @kernel
 def slip_motion(surface, parcel, work, now, t, cell, axis):
     """Value and rate, ``t`` seconds into the step that begins ``now``, of the function whose root a slip's end is."""
-    y, par, acceleration = parcel.y, parcel.par, work.before
+    y, par = parcel.y, parcel.par
     side, e = side_of(parcel, cell, axis), decay(par, now)
     slip, zero = slip_now(surface, work.begin, par[at.FREE_SPEED], e, cell, axis)
     zero = leeway(par, slip, zero, side)
     e = decay(par, now + t)
     slip, _ = slip_now(surface, y, par[at.FREE_SPEED], e, cell, axis)
-    rate = -par[at.RATE] * e * par[at.FREE_SPEED] * surface.decay[cell, axis]
-    rate -= acceleration[axis] + lever(surface, y, cell, axis) * acceleration[2]
-    # the lever changes as the centre of mass moves
-    rate += y[at.OMEGA] * (y[at.UX] if axis == 1 else -y[at.UY])
-    return side * slip + 2.0 * zero, side * rate
+    return side * slip + 2.0 * zero, side * slip_rate(surface, y, par, work.before, e, cell, axis)
 
 
 @kernel

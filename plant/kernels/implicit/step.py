@@ -15,7 +15,7 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import pulls, slip_now
 from plant.kernels.common.motion import share_of, solve
-from plant.kernels.common.springs import gap, note_gaps, plane_at, shift, stiffness
+from plant.kernels.common.springs import foreseen, gap, note_gaps, plane_at, shift, stiffness
 from plant.kernels.implicit.hooks import lighten, summed, unloaded
 from plant.kernels.implicit.traction_hooks import drag, factor
 
@@ -191,7 +191,7 @@ def grasp(surface, parcel, work, law, e, h):
     press(surface, parcel, work, ahead_x, ahead_y)
     arm = work.pace[im.GYRATION]
     # past the instant at which a support is lifted its load goes on falling, until the step is ended there
-    continues = work.pace[im.LOCATES] != 0.0 and law[im.WHEEL] == 0.0
+    continues = work.pace[im.LOCATES] != 0.0 and law[im.WHEEL] == 0.0 and foreseen(surface)
     # a wheel that turns round does so at the end of a step: which way it runs is asked in the middle
     midway = e * exp(0.5 * parcel.par[at.RATE] * h) if law[im.PUSH_PER_SHARE] != 0.0 and e > 0.0 else e
     count = at.ZERO
@@ -203,6 +203,7 @@ def grasp(surface, parcel, work, law, e, h):
         share, part = mean_share(surface, parcel, work, i, continues)
         vx, vy = unloaded(surface, cell, e)
         row = wheels[count]
+        row[im.CELL] = cell
         row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
         row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
         row[im.SUMMED] = law[im.FREE_SPEED] * summed(surface, cell, e)
@@ -414,20 +415,52 @@ def new_velocity(work, count, law, h, w):
 
 
 @kernel
+def at_limit(row, w, isotropic):
+    """On which side each of a cell's wheels is at its limit, as -1, 0 or 1: (x, y)."""
+    fx, fy, _, _, _ = pull(row, w, isotropic)
+    if isotropic == 0.0:
+        x = sign(fx) if abs(fx) >= row[im.CX] else 0.0
+        y = sign(fy) if abs(fy) >= row[im.CY] else 0.0
+        return x, y
+    if (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.CX]:
+        # in quarters: slip that turns round must not look like slip that went on
+        return sign(fx), sign(fy)
+    return 0.0, 0.0
+
+
+@kernel
 def regime(work, count, isotropic, w):
     """A number that tells which wheels are at their limits, on which side: it changes where a law changes branch."""
     total = 0.0
     for i in range(count):
-        row = work.wheels[i]
-        fx, fy, _, _, _ = pull(row, w, isotropic)
-        if isotropic == 0.0:
-            x = sign(fx) if abs(fx) >= row[im.CX] else 0.0
-            y = sign(fy) if abs(fy) >= row[im.CY] else 0.0
-        elif (fx * fx + fy * fy) ** 0.5 >= 0.999999 * row[im.CX]:
-            # in quarters: slip that turns round must not look like slip that went on
-            x, y = sign(fx), sign(fy)
-        else:
-            x = y = 0.0
+        x, y = at_limit(work.wheels[i], w, isotropic)
         # weights of which no small sums cancel
         total += (i + 1.37) ** 0.5 * x + (i + 1.91) ** 0.5 * y
     return total
+
+
+@kernel
+def note_limits(work, count, isotropic, w):
+    """Keep which wheels are at their limits, on which side, cell by cell."""
+    work.first[im.LISTED_FIRST] = count
+    for i in range(count):
+        row = work.wheels[i]
+        x, y = at_limit(row, w, isotropic)
+        work.limits[i, 0], work.limits[i, 1] = int(row[im.CELL]), int(5.0 + x + 3.0 * y)
+
+
+@kernel
+def limits_changed(work, count, isotropic, w):
+    """Whether a wheel that ``note_limits`` knew, and that still pulls, is at another limit now, or no longer at one."""
+    known, where, any_did = int(work.first[im.LISTED_FIRST]), work.where, False
+    for i in range(known):
+        where[work.limits[i, 0]] = work.limits[i, 1]
+    for i in range(count):
+        row = work.wheels[i]
+        before = where[int(row[im.CELL])]
+        x, y = at_limit(row, w, isotropic)
+        if before != 0 and before != int(5.0 + x + 3.0 * y):
+            any_did = True
+    for i in range(known):
+        where[work.limits[i, 0]] = 0
+    return any_did

@@ -15,14 +15,25 @@ FARTHEST = 1e9
 
 
 @kernel
+def mitre(normal):
+    """How far from a corner, at most, the point lies that is a unit outside of both its edges."""
+    most, last = 1.0, normal.shape[0] - 1
+    for edge in range(normal.shape[0]):
+        cosine = normal[edge, 0] * normal[last, 0] + normal[edge, 1] * normal[last, 1]
+        most, last = max(most, (2.0 / (1.0 + cosine)) ** 0.5), edge
+    return most
+
+
+@kernel
 def find_loads(surface, parcel, work):
     """Which cells lie under the parcel where it is, and which of them carry load. Returns the status."""
     y, par, mem, grid = parcel.y, parcel.par, parcel.mem, surface.grid
     count, slack = at.ZERO, par[at.ON_SURFACE] + reach(surface)
+    margin = slack * mitre(parcel.normal) if reach(surface) > 0.0 else slack
     away = max(abs(y[0] - par[at.ORIGIN_X]), abs(y[1] - par[at.ORIGIN_Y]))
     if away < FARTHEST * par[at.PITCH]:
         c, s = cos(y[at.THETA]), sin(y[at.THETA])
-        first_row, last_row, first_column, last_column = box(parcel.vertices, y, par, grid, slack)
+        first_row, last_row, first_column, last_column = box(parcel.vertices, y, par, grid, margin)
         for row in range(first_row, last_row + 1):
             for column in range(first_column, last_column + 1):
                 cell = grid[row, column]
@@ -33,6 +44,12 @@ def find_loads(surface, parcel, work):
                     if touches(surface, parcel, count, c, s):
                         count += 1
     parcel.ctl[at.N_MEMBERS] = count
+    return settle_loads(surface, parcel, work)
+
+
+@kernel
+def settle_loads(surface, parcel, work):
+    """Which of the cells under the parcel carry load where it is. Returns the status."""
     status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
     if status == at.TIPPED and unshift(surface):
         # the traction that shifted the loads may be gone

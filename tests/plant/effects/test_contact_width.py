@@ -36,6 +36,12 @@ def wide(
     return Plant(PlantSpec.model_validate(values))
 
 
+def members_in_order(plant: Plant) -> list[int]:
+    """Cells that the plant takes to lie under its parcel, as its kernels list them."""
+    inner = plant._solver.parcels[0]
+    return inner.mem[: inner.ctl[layout.N_MEMBERS], layout.CELL].tolist()
+
+
 def row_of_three(outer: float, effects: dict[str, object] | None = None) -> Floats:
     """Load shares of three cells in a row under a parcel whose ends are ``outer`` beyond the outer cells' middles."""
     body = parcel(size_m=(0.2 + 2.0 * outer, 0.09), position_m=(0.0, 0.0), angle_rad=0.0)
@@ -59,6 +65,20 @@ def test_a_cell_carries_in_proportion_to_how_far_its_wheel_is_under_the_parcel(
     # u = 1/2 + d / width counts by u^2 (3 - 2 u)
     known = np.array([part, 1.0, part]) / (1.0 + 2.0 * part)
     assert row_of_three(outer) == pytest.approx(known, abs=1e-5)
+
+
+def test_a_wheel_beyond_a_corner_counts_by_both_edges() -> None:
+    """One 0.055 m beyond the corner of a square on its point, farther than half a width, is 0.039 m outside both."""
+    corner = 0.2 * np.sqrt(2.0)
+    place = (0.35 - 0.055 - corner, 0.05)
+    plant = wide(0.1, parcel(size_m=(0.4, 0.4), position_m=place, angle_rad=0.25 * np.pi))
+    plant.advance(np.zeros_like(plant.array.positions_m), 1)
+    (cell,) = np.flatnonzero(np.all(np.abs(plant.array.positions_m - (0.35, 0.05)) < 1e-9, axis=1))
+    listed = members_in_order(plant)
+    assert cell in listed
+    u = 0.5 - 0.055 / np.sqrt(2.0) / 0.1
+    share = plant._solver._edges.share[0][listed.index(cell)]  # type: ignore[attr-defined]
+    assert share == pytest.approx((u * u * (3.0 - 2.0 * u)) ** 2, rel=1e-6)
 
 
 def test_on_uneven_supports_width_and_height_count_together() -> None:
