@@ -92,11 +92,16 @@ class WorkerConfig:
     snapshots: bool = False
     resumed: ResumePoint | None = None
 
-    def __call__(self, shard: int) -> None:
-        """Open a session, run the shard's agents, and close the session."""
+    def __call__(self, shard: int, built: tuple[Shard, ShardContext] | None = None) -> None:
+        """Open a session, run the shard's agents, and close the session.
+
+        Args:
+            shard: Number of the shard.
+            built: Result of ``build_shard``; None: it is built here.
+        """
         endpoint = open_session(self.connect, self.keys, shard, self.scene.stall)
         try:
-            serve(self, shard, endpoint)
+            serve(self, shard, endpoint, built)
         finally:
             endpoint.close()
 
@@ -113,8 +118,16 @@ def open_session(connect: str, keys: tuple[Path, ...], shard: int, stall: StallS
     return open_client(connect, lease_s=stall.lease_s, timeout_s=stall.start_s, identity=identity)
 
 
-def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
+def serve(
+    order: WorkerConfig, shard: int, endpoint: Endpoint, built: tuple[Shard, ShardContext] | None = None
+) -> None:
     """Run the agents of one shard until the stop request or the death of all cells.
+
+    Args:
+        order: Configuration of the run's workers.
+        shard: Number of the shard.
+        endpoint: Opened endpoint of the shard.
+        built: Result of ``build_shard``; None: it is built here.
 
     Raises:
         FirmwareError: The firmware can't be loaded or initialised.
@@ -122,7 +135,6 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
     """
     import asyncio
 
-    from bus.lockstep import Participant
     from bus.state import save_state
     from bus.transports.event_loop import TransportEventLoop
     from cell_firmware import agent
@@ -130,24 +142,11 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
     from cell_firmware.loader import load
     from deploy.workers.overrun import Watchdog
 
-    cells, site = _begun(order, shard)
+    cells, site = _begun(order, shard) if built is None else built
     records = records_of(load(order.scene.cells))
     if order.snapshots:
         save_state(cells, records)  # a program whose memory can't be kept is told of before the run begins
-    member = Participant(
-        endpoint,
-        order.partition,
-        shard,
-        order.wire,
-        run=order.run,
-        readings=order.sensors,
-        message=cells.message,
-        stall=order.scene.stall,
-        wanted=order.register_requests,
-        cell_counters=cells.counters,
-        keeps=order.snapshots,
-        joins=order.joins_running,
-    )
+    member = open_participant(order, shard, endpoint, cells)
     schedule = permanent_crashes(order.scene)
     for tick, dead in schedule.items():
         member.schedule_death(dead, tick)
@@ -167,6 +166,26 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
         if (doomed or absent) and _wait_for_next_tick(order.run, len(order.array), endpoint):
             os.kill(os.getpid(), signal.SIGKILL)
     member.close()
+
+
+def open_participant(order: WorkerConfig, shard: int, endpoint: Endpoint, cells: Shard) -> Participant:
+    """Open a shard's participant in the lockstep; call its ``ready`` next."""
+    from bus.lockstep import Participant
+
+    return Participant(
+        endpoint,
+        order.partition,
+        shard,
+        order.wire,
+        run=order.run,
+        readings=order.sensors,
+        message=cells.message,
+        stall=order.scene.stall,
+        wanted=order.register_requests,
+        cell_counters=cells.counters,
+        keeps=order.snapshots,
+        joins=order.joins_running,
+    )
 
 
 def _begun(order: WorkerConfig, shard: int) -> tuple[Shard, ShardContext]:
@@ -257,6 +276,14 @@ def kernels_of(scene: Scene) -> tuple[str, ...]:
     from cell_firmware.build import kernel_modules
 
     return kernel_modules(make_controller(scene, cell_faults(scene), metered=True), scene.effects)
+
+
+def modules_of(scene: Scene) -> tuple[str, ...]:
+    """Return the modules that a scene's cells use beyond those of every scene: kernels and a bundled program."""
+    from cell_firmware.loader import BUNDLED
+
+    program = BUNDLED.get(scene.cells.firmware)
+    return kernels_of(scene) if program is None else (*kernels_of(scene), program.partition(":")[0])
 
 
 def cell_faults(scene: Scene) -> CellFaults | None:
