@@ -7,6 +7,7 @@ each page with a touched object is copied.
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +19,7 @@ from bus.transports.memory import MemoryBus
 from bus.wire.frames import DriveFrame, LinkFrame, SenseFrame
 from cell_firmware.loader import BUNDLED
 from deploy.workers.worker import (
+    BuiltShard,
     WorkerConfig,
     build_shard,
     cell_faults,
@@ -29,11 +31,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from bus.sensors import SensorSchema
-    from cell_firmware.effects.base import ShardContext
-    from cell_firmware.shard import Shard
 
 _FEW: Final = 4
 """Cells of a shard that is built here. Larger shards take longer, and their processes build them side by side."""
+
+_STAND_IN: Final = "max_consensus"
+"""Bundled program that is exercised instead of a user's: its cells talk, and it needs no parameters."""
 
 
 def share_shards(order: WorkerConfig) -> Callable[[int], None]:
@@ -44,24 +47,33 @@ def share_shards(order: WorkerConfig) -> Callable[[int], None]:
     Raises:
         FirmwareError: The firmware refuses its parameters.
     """
-    if order.scene.cells.firmware not in BUNDLED:
-        return order
     shards = order.partition.count
-    if len(order.array) > _FEW * shards:
+    few = len(order.array) <= _FEW * shards
+    if order.scene.cells.firmware not in BUNDLED:
+        if few:
+            _exercise(_with_stand_in(order))
+        return order
+    if not few:
         make_controller(order.scene, cell_faults(order.scene))  # imports the effects
         return order
     _exercise(order)
     return partial(_work, order, [build_shard(order, shard) for shard in range(shards)])
 
 
-def _work(order: WorkerConfig, built: Sequence[tuple[Shard, ShardContext]], shard: int) -> None:
+def _with_stand_in(order: WorkerConfig) -> WorkerConfig:
+    """Return the order with another program, whose cells have the same boards."""
+    cells = order.scene.cells.model_copy(update={"firmware": _STAND_IN, "parameters": {}})
+    return replace(order, scene=order.scene.model_copy(update={"cells": cells}))
+
+
+def _work(order: WorkerConfig, built: Sequence[BuiltShard], shard: int) -> None:
     order(shard, built[shard])
 
 
 def _exercise(order: WorkerConfig) -> None:
     """Run a shard that is then thrown away, without its process: what fills caches is shared by the processes."""
     bus = MemoryBus()
-    shard, _ = build_shard(order, 0)
+    shard = build_shard(order, 0).cells
     endpoint = bus.endpoint()
     host = Coordinator(
         bus.endpoint(),

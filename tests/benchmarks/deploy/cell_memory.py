@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 import statistics
@@ -25,18 +26,20 @@ from deploy.scenes.overrides import Override
 
 METHOD = """\
 Method. The scene {scene} with {rows} x {columns} cells, a process for each. Ready: until the first tick is over,
-kernels loaded from disk. Then {ticks} ticks. PSS: of each process of cells (/proc/PID/smaps_rollup), shared pages
-divided by those that share them."""
+kernels loaded from disk. Processor time until then: of this process from its start, of the fork server, and of all
+processes of cells. Then {ticks} ticks. PSS: of each process of cells (/proc/PID/smaps_rollup), shared pages divided by
+those that share them."""
 
-HEAVY = ("numba", "scipy", "matplotlib", "typer", "rich", "pydantic_core")
+HEAVY = ("scipy", "matplotlib", "PIL", "mcap", "lz4")
 """Libraries that no process of cells needs, looked for among its mapped files: those of Python alone are missed."""
 
 
 def _descendants(pid: int) -> Iterator[int]:
     for task in Path(f"/proc/{pid}/task").iterdir():
-        for child in map(int, (task / "children").read_text().split()):
-            yield child
-            yield from _descendants(child)
+        with contextlib.suppress(FileNotFoundError):  # the thread has ended
+            for child in map(int, (task / "children").read_text().split()):
+                yield child
+                yield from _descendants(child)
 
 
 def _pss_mb(pid: int) -> float:
@@ -44,6 +47,11 @@ def _pss_mb(pid: int) -> float:
     found = re.search(r"^Pss:\s+(\d+) kB", text, re.MULTILINE)
     assert found is not None
     return int(found[1]) / 1024
+
+
+def _processor_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def main() -> None:
@@ -60,13 +68,15 @@ def main() -> None:
     with Simulation.open(scene, Workers("each")) as simulation:
         simulation.step()
         ready = time.perf_counter() - begun
+        server, *cells = _descendants(os.getpid())
+        processor = [_processor_s(os.getpid()), _processor_s(server), sum(map(_processor_s, cells))]
         for _ in range(given.ticks):
             simulation.step()
-        pids = list(_descendants(os.getpid()))
-        pss = sorted(map(_pss_mb, pids))
-        mapped = Path(f"/proc/{pids[-1]}/maps").read_text()
+        pss = sorted(map(_pss_mb, cells))
+        mapped = Path(f"/proc/{cells[-1]}/maps").read_text()
     print(f"ready after {ready:.1f} s, load {os.getloadavg()[0]:.1f} by then")
-    print(f"PSS of {len(pids)} processes: median {statistics.median(pss):.1f} MB, largest {pss[-1]:.1f} MB")
+    print("processor time: {:.1f} s here, {:.1f} s fork server, {:.1f} s cells".format(*processor))
+    print(f"PSS of {len(cells)} processes: median {statistics.median(pss):.1f} MB, largest {pss[-1]:.1f} MB")
     heavy = [name for name in HEAVY if f"/{name}/" in mapped]
     print(f"mapped libraries that cells don't need: {', '.join(heavy) or 'none'}")
 

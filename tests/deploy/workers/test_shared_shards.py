@@ -49,10 +49,10 @@ def test_the_shards_of_all_workers_are_built_once_and_have_not_been_stepped(scen
     order = _order(scene, wire=wire)
     shared = share_shards(order)
     assert isinstance(shared, partial), "the workers build their shards themselves"
-    built = [shard for shard, _ in shared.args[1]]
+    built = [one.cells for one in shared.args[1]]
     assert [shard.cells for shard in built] == [(cell,) for cell in order.array.lattice.cells]
     for index in (0, len(built) - 1):
-        shard, (expected, _) = built[index], build_shard(order, index)
+        shard, expected = built[index], build_shard(order, index).cells
         assert shard.tick == expected.tick == -1
         assert (shard.counters(), shard.alive) == (expected.counters(), expected.alive)
 
