@@ -29,7 +29,6 @@ import threading
 import traceback
 from collections.abc import Callable, Iterable
 from multiprocessing.connection import Connection
-from pathlib import Path
 from types import FrameType
 from typing import Any, final
 
@@ -39,6 +38,7 @@ Order = Callable[[int], None]
 Prepare = Callable[[Any], Order]
 """Function that is called once with an order, before its workers are forked. It returns the order that they get."""
 
+_LIBC: ctypes.CDLL | None = ctypes.CDLL(None) if sys.platform == "linux" else None
 _PR_SET_PDEATHSIG = 1
 """Of the Linux kernel's ``prctl``."""
 
@@ -193,7 +193,7 @@ def _die_with_parent(parent: int) -> bool:
 
     A watching thread would cost each process half a megabyte.
     """
-    if sys.platform != "linux" or ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL) != 0:
+    if _LIBC is None or _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL) != 0:
         return False
     if os.getppid() != parent:  # it ended before
         os.kill(os.getpid(), signal.SIGKILL)
@@ -211,9 +211,10 @@ def _die_with(fd: int) -> None:
 
 def _rename(name: str) -> None:
     """Show ``name`` in process lists, where the system lets a process name itself."""
-    own = Path("/proc/self/comm")
-    if own.exists():
-        own.write_text(name[:15], encoding="utf-8")
+    with contextlib.suppress(FileNotFoundError):
+        own = os.open("/proc/self/comm", os.O_WRONLY)
+        os.write(own, name[:15].encode())
+        os.close(own)
 
 
 def _told(error: BaseException) -> str:

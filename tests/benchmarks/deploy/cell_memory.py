@@ -30,7 +30,7 @@ kernels loaded from disk. Processor time until then: of this process from its st
 processes of cells. Then {ticks} ticks. PSS: of each process of cells (/proc/PID/smaps_rollup), shared pages divided by
 those that share them."""
 
-HEAVY = ("scipy", "matplotlib", "PIL", "mcap", "lz4")
+HEAVY = ("scipy/linalg", "matplotlib", "PIL", "mcap", "lz4")
 """Libraries that no process of cells needs, looked for among its mapped files: those of Python alone are missed."""
 
 
