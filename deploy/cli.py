@@ -26,12 +26,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit status.
     """
+    thresholds = gc.get_threshold()
     gc.set_threshold(*_THRESHOLDS)
     _open_closed_streams()
     before = _leave_on_signals()
     try:
         return _run(sys.argv[1:] if arguments is None else arguments)
     finally:
+        gc.set_threshold(*thresholds)
         for number, handler in before.items():
             if signal.getsignal(number) is _leave:  # else a command has had the last word on it
                 signal.signal(number, handler)
