@@ -15,9 +15,12 @@ CellName = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
 
 
 class Spec(BaseModel):
-    """Base of every part of a scene and of every firmware's parameters: frozen, unknown keys refused."""
+    """Base of every part of a scene and of every firmware's parameters: frozen, unknown keys refused.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+    pydantic builds a part's validator at its first use. Most parts are validated within the scene alone.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, defer_build=True)
 
 
 Seconds = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]

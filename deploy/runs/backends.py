@@ -15,8 +15,7 @@ from bus.partition import Partition
 from bus.state import load_state, save_state
 from bus.wire.frames import DriveFrame, SenseFrame
 from cell_firmware.agent import failures_of, report_text
-from cell_firmware.cell import records_of
-from cell_firmware.loader import check_importable, load
+from cell_firmware.loader import check_importable
 from deploy.runs.output import run_name
 from deploy.workers.plan import RunOptions, plan
 from deploy.workers.worker import WorkerConfig, build_shard
@@ -104,9 +103,9 @@ class InProcess:
             keys=(),
             own_process=False,
         )
-        shard, _ = build_shard(config, 0)
-        self._records = records_of(load(scene.cells))
-        self._port = _DirectPort(shard)
+        built = build_shard(config, 0)
+        self._records = built.records
+        self._port = _DirectPort(built.cells)
         return self._port
 
     def stop(self, reason: str) -> MessageCounters | None:

@@ -16,7 +16,13 @@ from deploy.errors import DeployError
 from deploy.recordings.digest import Digest
 from deploy.recordings.run_log import RunLog
 from deploy.recordings.writer import Recorder
-from deploy.runs.output import draw_or_interrupt, draw_run_overview, recording_header, write_or_fail
+from deploy.runs.output import (
+    draw_or_interrupt,
+    draw_run_overview,
+    plots_imported_ahead,
+    recording_header,
+    write_or_fail,
+)
 from deploy.runs.output_folder import output_folder, remove_results
 from deploy.runs.recorded import RecordedRun
 from deploy.runs.rejections import RejectionMonitor
@@ -101,7 +107,7 @@ class _Run:
         setup = self.setup
         for line in setup.warnings:
             self._warn(f"warning: {line}")
-        with System(setup.plan, setup.scene, setup.options) as system:
+        with ExitStack() as ahead, System(setup.plan, setup.scene, setup.options) as system:
             with self.interruption.interruptible():
                 plant = load_plant(setup.scene, self._warn)
                 self.about = checkpoint_metadata(
@@ -112,6 +118,8 @@ class _Run:
                     setup.resumed,
                     live=setup.byte_accurate_links,
                 )
+            if setup.options.picture and setup.options.realtime is None:
+                ahead.enter_context(plots_imported_ahead())
             system.open()
             if setup.options.listen is not None and system.locator:
                 self._warn(f"listeners and operators connect to {system.locator}")

@@ -8,13 +8,15 @@ reports events over a pipe, one line of JSON an event:
     {"worker": 3, "event": "failed", "error": "...", "detail": "the traceback"}
     {"worker": 3, "event": "ended", "status": -9}
 
-When the socket's other end closes for any reason, the fork server kills its workers and ends. The workers watch
-the same socket, so that no worker outlives the main process or the fork server.
+When the socket's other end closes for any reason, the fork server kills its workers and ends. Linux kills the workers
+when the fork server ends for any reason. Elsewhere the workers watch the socket too. No worker outlives the main
+process or the fork server.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import importlib
 import json
@@ -27,12 +29,18 @@ import threading
 import traceback
 from collections.abc import Callable, Iterable
 from multiprocessing.connection import Connection
-from pathlib import Path
 from types import FrameType
 from typing import Any, final
 
 Order = Callable[[int], None]
 """Function of a worker, called with the worker's number; raises on failure."""
+
+Prepare = Callable[[Any], Order]
+"""Function that is called once with an order, before its workers are forked. It returns the order that they get."""
+
+_LIBC: ctypes.CDLL | None = ctypes.CDLL(None) if sys.platform == "linux" else None
+_PR_SET_PDEATHSIG = 1
+"""Of the Linux kernel's ``prctl``."""
 
 _LINE_LIMIT = select.PIPE_BUF
 """Longest line that is written to a pipe atomically."""
@@ -41,9 +49,9 @@ _LINE_LIMIT = select.PIPE_BUF
 def main(channel_fd: int, report_fd: int, preload: Iterable[str]) -> None:
     """Serve commands until the socket ``channel_fd`` closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.disable()  # nearly all objects of imports stay
     for name in preload:
         importlib.import_module(name)
-    gc.collect()
     gc.freeze()
     _ForkServer(Connection(channel_fd), report_fd).serve()
 
@@ -54,6 +62,7 @@ class _ForkServer:
         self._channel = channel
         self._report_fd = report_fd
         self._order: Order | None = None
+        self._pid = os.getpid()
         self._workers: dict[int, int] = {}
         """Number of each worker, by process id."""
         self._wakeup = os.pipe()
@@ -82,8 +91,8 @@ class _ForkServer:
         except (EOFError, ConnectionError):
             return False
         match message:
-            case "order", order:
-                self._order = order
+            case "order", (order, prepare):
+                self._order = order if prepare is None else _prepared(order, prepare)
             case "start", workers:
                 for worker, name in workers:
                     self._start(worker, name)
@@ -111,8 +120,11 @@ class _ForkServer:
         try:
             signal.set_wakeup_fd(-1)
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+            gc.enable()
             _rename(name)
-            threading.Thread(target=_die_with, args=(self._channel.fileno(),), daemon=True).start()
+            if not _die_with_parent(self._pid):
+                watch = threading.Thread(target=_die_with, args=(self._channel.fileno(),), daemon=True)
+                watch.start()
             order(worker)
             status = 0
         except BaseException as error:  # noqa: BLE001 - whatever it is, it is told to the main process
@@ -162,8 +174,30 @@ class _ForkServer:
             os.waitpid(pid, 0)
 
 
+def _prepared(order: Order, prepare: Prepare) -> Order:
+    """Return the order of the workers, prepared once for all of them."""
+    try:
+        return prepare(order)
+    except Exception:  # noqa: BLE001 - each worker meets it again, and reports it as its own
+        return order
+    finally:
+        gc.freeze()
+
+
 def _noticed(number: int, frame: FrameType | None) -> None:
     """Ignore SIGCHLD; a handler must be set for the wake-up descriptor to wake the selector."""
+
+
+def _die_with_parent(parent: int) -> bool:
+    """Have the system kill this process as soon as its parent has ended; False where the system can't.
+
+    A watching thread would cost each process half a megabyte.
+    """
+    if _LIBC is None or _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL) != 0:
+        return False
+    if os.getppid() != parent:  # it ended before
+        os.kill(os.getpid(), signal.SIGKILL)
+    return True
 
 
 def _die_with(fd: int) -> None:
@@ -177,9 +211,10 @@ def _die_with(fd: int) -> None:
 
 def _rename(name: str) -> None:
     """Show ``name`` in process lists, where the system lets a process name itself."""
-    own = Path("/proc/self/comm")
-    if own.exists():
-        own.write_text(name[:15], encoding="utf-8")
+    with contextlib.suppress(FileNotFoundError):
+        own = os.open("/proc/self/comm", os.O_WRONLY)
+        os.write(own, name[:15].encode())
+        os.close(own)
 
 
 def _told(error: BaseException) -> str:

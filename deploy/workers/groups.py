@@ -11,6 +11,7 @@ from bus.transports.base import Endpoint
 from deploy.workers.forkserver import one_line
 from deploy.workers.plan import Plan
 from deploy.workers.pool import WorkerError, WorkerPool
+from deploy.workers.shared_shards import share_shards
 from deploy.workers.worker import WorkerConfig, serve
 
 PRELOAD = (
@@ -19,17 +20,17 @@ PRELOAD = (
     "numpy",
     "zenoh",
     "bus.lockstep",
+    "bus.transports.event_loop",
     "bus.transports.zenoh",
     "cell_firmware.agent",
-    "cell_firmware.protocols.heat_diffusion",
-    "cell_firmware.protocols.hanging_field",
-    "cell_firmware.protocols.velocity_field",
-    "cell_firmware.protocols.presence_field",
+    "cell_firmware.build",
+    "cell_firmware.loader",
     "deploy.scenes.scene",
+    "deploy.workers.overrun",
     "deploy.workers.worker",
     "plant.array",
 )
-"""Modules that a worker needs, imported once before the workers are forked."""
+"""Modules that every worker needs, imported once before the workers are forked."""
 
 _FILES_A_WORKER = 4
 """Upper estimate of open files in the plant's process for a worker's session."""
@@ -79,17 +80,17 @@ class WorkerProcesses:
 
     Args:
         plan: Plan of the run.
-        kernels: Modules of kernels that the cells use.
+        modules: Further modules that the cells use.
     """
 
-    def __init__(self, plan: Plan, kernels: Sequence[str] = ()) -> None:
+    def __init__(self, plan: Plan, modules: Sequence[str] = ()) -> None:
         self._names = [process.name for process in plan.processes if process.role == "cells"]
-        self._crew = WorkerPool((*PRELOAD, *kernels))
+        self._crew = WorkerPool((*PRELOAD, *modules))
 
     def start(self, order: WorkerConfig) -> None:
         """Fork the workers."""
         _allow_files(_FILES_A_WORKER * len(self._names))
-        self._crew.start(order, self._names)
+        self._crew.start(order, self._names, share_shards)
 
     def restart(self, order: WorkerConfig, shard: int) -> None:
         """Kill one worker and fork its replacement."""

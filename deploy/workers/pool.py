@@ -24,6 +24,7 @@ from types import TracebackType
 from typing import Any, Self, final
 
 from deploy.errors import DeployError
+from deploy.workers.forkserver import Prepare
 
 _NURSERY = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
@@ -117,15 +118,19 @@ class WorkerPool:
     ) -> None:
         self.close()
 
-    def start(self, order: Callable[[int], None], names: Sequence[str]) -> None:
+    def start(
+        self, order: Callable[[int], None], names: Sequence[str], prepare: Prepare | None = None
+    ) -> None:
         """Fork one worker a name; each calls ``order`` with its number and ends when that returns.
 
         Args:
             order: Picklable; what it refers to must be importable in the workers.
             names: Names shown in process lists and messages; a worker's number is its place here.
+            prepare: Function of a module, called once with the order before the first fork; returns the order of these
+                workers. If it raises, they get ``order`` itself. None: they do.
         """
         self._names = dict(enumerate(names))
-        self._send("order", order)
+        self._send("order", (order, prepare))
         self._send("start", list(enumerate(names)))
 
     def add(self, name: str) -> int:
@@ -151,7 +156,7 @@ class WorkerPool:
             if self.ended.pop(worker, None) is None:
                 self.signal(signal.SIGKILL, [worker])
                 self._replaced[worker] += 1
-            self._send("order", order)
+            self._send("order", (order, None))
             self._send("start", [(worker, self._names[worker])])
 
     def _send(self, what: str, content: object) -> None:

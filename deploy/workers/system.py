@@ -16,8 +16,8 @@ from deploy.workers.worker import (
     ResumePoint,
     WorkerConfig,
     cell_faults,
-    kernels_of,
     make_controller,
+    modules_of,
     open_session,
 )
 
@@ -81,7 +81,7 @@ class System:
         self._running = False
         self._stopped = False
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
-        self._processes = WorkerProcesses(plan, kernels_of(scene)) if plan.workers else None
+        self._processes = WorkerProcesses(plan, modules_of(scene)) if plan.workers else None
 
     def __enter__(self) -> Self:
         return self

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from bus.errors import WireError
 from bus.partition import Partition
@@ -92,11 +92,16 @@ class WorkerConfig:
     snapshots: bool = False
     resumed: ResumePoint | None = None
 
-    def __call__(self, shard: int) -> None:
-        """Open a session, run the shard's agents, and close the session."""
+    def __call__(self, shard: int, built: BuiltShard | None = None) -> None:
+        """Open a session, run the shard's agents, and close the session.
+
+        Args:
+            shard: Number of the shard.
+            built: The shard; None: it is built here.
+        """
         endpoint = open_session(self.connect, self.keys, shard, self.scene.stall)
         try:
-            serve(self, shard, endpoint)
+            serve(self, shard, endpoint, built)
         finally:
             endpoint.close()
 
@@ -113,8 +118,28 @@ def open_session(connect: str, keys: tuple[Path, ...], shard: int, stall: StallS
     return open_client(connect, lease_s=stall.lease_s, timeout_s=stall.start_s, identity=identity)
 
 
-def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
+class BuiltShard(NamedTuple):
+    """A shard before tick 0.
+
+    Attributes:
+        cells: The shard.
+        site: Context of its cells.
+        records: Record types in the states of its programs, beyond plain values.
+    """
+
+    cells: Shard
+    site: ShardContext
+    records: tuple[type, ...]
+
+
+def serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard | None = None) -> None:
     """Run the agents of one shard until the stop request or the death of all cells.
+
+    Args:
+        order: Configuration of the run's workers.
+        shard: Number of the shard.
+        endpoint: Opened endpoint of the shard.
+        built: The shard; None: it is built here.
 
     Raises:
         FirmwareError: The firmware can't be loaded or initialised.
@@ -122,32 +147,15 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
     """
     import asyncio
 
-    from bus.lockstep import Participant
     from bus.state import save_state
     from bus.transports.event_loop import TransportEventLoop
     from cell_firmware import agent
-    from cell_firmware.cell import records_of
-    from cell_firmware.loader import load
     from deploy.workers.overrun import Watchdog
 
-    cells, site = _begun(order, shard)
-    records = records_of(load(order.scene.cells))
+    cells, site, records = _begun(order, shard) if built is None else built
     if order.snapshots:
         save_state(cells, records)  # a program whose memory can't be kept is told of before the run begins
-    member = Participant(
-        endpoint,
-        order.partition,
-        shard,
-        order.wire,
-        run=order.run,
-        readings=order.sensors,
-        message=cells.message,
-        stall=order.scene.stall,
-        wanted=order.register_requests,
-        cell_counters=cells.counters,
-        keeps=order.snapshots,
-        joins=order.joins_running,
-    )
+    member = open_participant(order, shard, endpoint, cells)
     schedule = permanent_crashes(order.scene)
     for tick, dead in schedule.items():
         member.schedule_death(dead, tick)
@@ -169,7 +177,27 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint) -> None:
     member.close()
 
 
-def _begun(order: WorkerConfig, shard: int) -> tuple[Shard, ShardContext]:
+def open_participant(order: WorkerConfig, shard: int, endpoint: Endpoint, cells: Shard) -> Participant:
+    """Open a shard's participant in the lockstep; call its ``ready`` next."""
+    from bus.lockstep import Participant
+
+    return Participant(
+        endpoint,
+        order.partition,
+        shard,
+        order.wire,
+        run=order.run,
+        readings=order.sensors,
+        message=cells.message,
+        stall=order.scene.stall,
+        wanted=order.register_requests,
+        cell_counters=cells.counters,
+        keeps=order.snapshots,
+        joins=order.joins_running,
+    )
+
+
+def _begun(order: WorkerConfig, shard: int) -> BuiltShard:
     """Build a shard, with a deadline for the programs' ``init``.
 
     Raises:
@@ -178,7 +206,7 @@ def _begun(order: WorkerConfig, shard: int) -> tuple[Shard, ShardContext]:
     from cell_firmware.errors import FirmwareFailed
     from deploy.workers.overrun import Watchdog
 
-    made: SimpleQueue[tuple[Shard, ShardContext] | BaseException] = SimpleQueue()
+    made: SimpleQueue[BuiltShard | BaseException] = SimpleQueue()
 
     def hopeless(cell: tuple[int, int], problem: str, trace: str) -> None:
         made.put(FirmwareFailed(cell, 0, f"init: {problem}", trace))
@@ -259,6 +287,14 @@ def kernels_of(scene: Scene) -> tuple[str, ...]:
     return kernel_modules(make_controller(scene, cell_faults(scene), metered=True), scene.effects)
 
 
+def modules_of(scene: Scene) -> tuple[str, ...]:
+    """Return the modules that a scene's cells use beyond those of every scene: kernels and a bundled program."""
+    from cell_firmware.loader import BUNDLED
+
+    program = BUNDLED.get(scene.cells.firmware)
+    return kernels_of(scene) if program is None else (*kernels_of(scene), program.partition(":")[0])
+
+
 def cell_faults(scene: Scene) -> CellFaults | None:
     """Return the faults of a scene that act in the cells; None without such faults."""
     injected = of_cells(in_run_faults(scene))
@@ -269,10 +305,12 @@ def cell_faults(scene: Scene) -> CellFaults | None:
     return CellFaults(scene.lattice(), injected, scene.seed)
 
 
-def build_shard(order: WorkerConfig, index: int) -> tuple[Shard, ShardContext]:
-    """Build a shard before tick 0, and the context of its cells."""
+def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
+    """Build a shard."""
+    from cell_firmware.cell import records_of
     from cell_firmware.effects.base import ShardContext
     from cell_firmware.firmware import Cells
+    from cell_firmware.loader import load
     from cell_firmware.shard import FAULTS, Shard
 
     scene, array, readings = order.scene, order.array, order.sensors
@@ -306,7 +344,7 @@ def build_shard(order: WorkerConfig, index: int) -> tuple[Shard, ShardContext]:
         stages,
         () if faults is None else faults.injected,
     )
-    return shard, site
+    return BuiltShard(shard, site, records_of(load(scene.cells)))
 
 
 def _all_dead_by_schedule(order: WorkerConfig, shard: int, schedule: Deaths, ticks: int) -> bool:

@@ -159,7 +159,8 @@ def _fresh(code: str, **environment: str) -> dict[str, object]:
 
 
 SECOND_PROCESS = """
-import json
+import json, sys
+import numba
 from plant.kernels.common import cache
 warm = cache.is_warm()
 import numpy as np
@@ -172,6 +173,8 @@ print(json.dumps({
     "hits": [sum(kernel.stats.cache_hits.values()) for kernel in (entry.advance_block, entry.cover)],
     "misses": [sum(kernel.stats.cache_misses.values()) for kernel in (entry.advance_block, entry.cover)],
     "present": int(sense.presence.sum()),
+    "imported": [name for name in ("numba.np.arraymath", "numba.np.linalg") if name in sys.modules],
+    "sorted": numba.njit(lambda values: np.sort(values))(np.array([2.0, 1.0])).tolist(),
 }))
 """
 
@@ -194,6 +197,8 @@ def test_a_second_process_loads_what_the_first_compiled() -> None:
     assert found["hits"] == [1, 1]
     assert found["misses"] == [0, 0]
     assert found["present"] == int(sense.presence.sum())
+    assert found["imported"] == []  # as only compiling needs
+    assert found["sorted"] == [1.0, 2.0]  # which was compiled then
     assert _files().items() >= before.items()  # tests that run beside this one may compile more
 
 

@@ -7,30 +7,47 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[3]
 
 METHOD = """\
 Method. Each command is a process of its own, timed from its start to its end; medians of {repeat}, after one run
-that is not counted. The run has the plant here, one worker process, Zenoh between them, a recording, a summary and a
-picture."""
+that is not counted. Processor time is of it and its processes. The run has the plant here, one worker process, Zenoh
+between them, a recording, a summary and a picture."""
 
 
-def _seconds(command: list[str], repeat: int) -> tuple[float, str]:
-    times: list[float] = []
+class Taken(NamedTuple):
+    """Wall time and processor time of a command, s."""
+
+    wall: float
+    processor: float
+
+    def __str__(self) -> str:
+        return f"{self.wall:.2f} s, processor time {self.processor:.2f} s"
+
+
+def _timed(command: list[str], repeat: int) -> tuple[Taken, str]:
+    walls: list[float] = []
+    processors: list[float] = []
     stdout = ""
     for _ in range(repeat + 1):
-        begun = time.perf_counter()
+        begun, before = time.perf_counter(), os.times()
         done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
-        times.append(time.perf_counter() - begun)
+        walls.append(time.perf_counter() - begun)
+        after = os.times()
+        processors.append(
+            after.children_user + after.children_system - before.children_user - before.children_system
+        )
         stdout = done.stdout
-    return statistics.median(times[1:]), stdout
+    return Taken(statistics.median(walls[1:]), statistics.median(processors[1:])), stdout
 
 
 def main() -> None:
@@ -41,19 +58,16 @@ def main() -> None:
     mdms = [sys.executable, "-m", "deploy.cli"]
     with tempfile.TemporaryDirectory() as folder:
         run = [*mdms, "run", "elliptic", "--duration", "0.01", "--output", folder, "--json"]
-        whole, stdout = _seconds(run, repeat)
-        bare, _ = _seconds([*run, "--no-picture"], repeat)
-        imports, _ = _seconds([sys.executable, "-c", "import numpy, scipy, zenoh"], repeat)
-        usage, _ = _seconds([*mdms, "--help"], repeat)
+        whole, stdout = _timed(run, repeat)
+        bare, _ = _timed([*run, "--no-picture"], repeat)
+        imports, _ = _timed([sys.executable, "-c", "import numpy, scipy, zenoh"], repeat)
+        usage, _ = _timed([*mdms, "--help"], repeat)
     summary = json.loads(stdout)
-    print(
-        f"mdms run elliptic --duration 0.01    {whole:.2f} s, of which start-up {summary['startup_s']:.2f} s"
-    )
-    print(f"the same with --no-picture           {bare:.2f} s")
-    print(f"mdms --help                          {usage:.2f} s")
-    print(
-        f"python -c 'import numpy, scipy, zenoh'  {imports:.2f} s; the run takes {whole / imports:.1f} times that"
-    )
+    print(f"mdms run elliptic --duration 0.01       {whole}; start-up {summary['startup_s']:.2f} s")
+    print(f"the same with --no-picture              {bare}")
+    print(f"mdms --help                             {usage}")
+    print(f"python -c 'import numpy, scipy, zenoh'  {imports}")
+    print(f"load while this ran: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 
 
 if __name__ == "__main__":

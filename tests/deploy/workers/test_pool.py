@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from functools import partial
 from pathlib import Path
+from socket import socketpair
 
 import pytest
 
 from cell_firmware.errors import FirmwareFailed
 from deploy.workers.pool import WorkerError, WorkerPool, describe_exit
+from tests.deploy.workers import forked
 
 
 def _until_started(crew: WorkerPool, workers: int) -> None:
@@ -115,17 +119,32 @@ def test_workers_show_their_names_and_share_a_parent() -> None:
         assert told[0][1] != str(os.getpid())
 
 
-def test_the_workers_parent_has_neither_numba_nor_a_session(tmp_path: Path) -> None:
-    from deploy.workers.groups import PRELOAD
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no signal for a parent's death")
+def test_a_worker_ends_with_the_fork_server(tmp_path: Path) -> None:
+    report = tmp_path / "pid"
+    with WorkerPool() as crew:
+        crew.start(forked.KillParent(str(report)), ["only"])
+        deadline = time.monotonic() + 20.0
+        while not crew.pipe_closed and time.monotonic() < deadline:  # the worker holds its other end
+            crew.poll(0.1)
+        assert crew.pipe_closed
+        while not _gone(int(report.read_text())) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert _gone(int(report.read_text()))
 
-    with WorkerPool(PRELOAD) as crew:
-        crew.start(partial(_write_modules, str(tmp_path / "modules")), ["only"])
-        assert crew.wait(20.0), crew.failures
-    modules = set((tmp_path / "modules").read_text().split())
-    assert {"zenoh", "numpy", "cell_firmware.agent"} <= modules
-    assert not {
-        name for name in modules if name.partition(".")[0] in ("numba", "scipy", "matplotlib", "rich")
-    }
+
+def test_a_worker_that_watches_the_socket_ends_with_the_main_process() -> None:
+    ours, theirs = socketpair()
+    code = "import sys; from deploy.workers.forkserver import _die_with; _die_with(int(sys.argv[1]))"
+    with (
+        ours,
+        subprocess.Popen(
+            [sys.executable, "-c", code, str(theirs.fileno())], pass_fds=[theirs.fileno()]
+        ) as worker,
+    ):
+        theirs.close()
+        ours.close()
+        assert worker.wait(20.0) == -signal.SIGKILL
 
 
 def test_exit_statuses_are_put_in_words() -> None:
@@ -139,12 +158,6 @@ def test_exit_statuses_are_put_in_words() -> None:
 
 def _sleep_long(worker: int) -> None:
     time.sleep(60.0)
-
-
-def _write_modules(path: str, worker: int) -> None:
-    import sys
-
-    Path(path).write_text(" ".join(sys.modules))
 
 
 def _tell_name_and_parent(worker: int) -> None:

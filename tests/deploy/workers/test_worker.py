@@ -46,7 +46,7 @@ def test_a_shard_and_its_stages_have_the_clocks_of_their_own_cells() -> None:
     assert every is not None
     order = _order(scene, 3)
     for index in range(3):
-        shard, site = build_shard(order, index)
+        shard, site, _ = build_shard(order, index)
         own = every.clocks.take(order.partition.cells(index))
         assert site.clocks is not None
         for name in ("ppb", "phase_ns"):
@@ -60,5 +60,5 @@ def test_a_shard_and_its_stages_have_the_clocks_of_their_own_cells() -> None:
 def test_a_controller_has_the_scene_s_clocks_and_none_without() -> None:
     assert isinstance(make_controller(_scene(CLOCK)), LocalClockWrapper)
     assert not isinstance(make_controller(_scene()), LocalClockWrapper)
-    _, site = build_shard(_order(_scene(), 2), 0)
+    site = build_shard(_order(_scene(), 2), 0).site
     assert site.clocks is None
