@@ -7,17 +7,20 @@ each page with a touched object is copied.
 from __future__ import annotations
 
 import asyncio
+import threading
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bus.lockstep import Coordinator, TickInputs
+from bus.lockstep import Coordinator
 from bus.transports.event_loop import TransportEventLoop
 from bus.transports.memory import MemoryBus
-from bus.wire.frames import DriveFrame, LinkFrame, SenseFrame
+from bus.wire.frames import Control, SenseFrame
+from cell_firmware import agent
 from cell_firmware.loader import BUNDLED
+from deploy.workers.overrun import Watchdog
 from deploy.workers.worker import (
     BuiltShard,
     WorkerConfig,
@@ -34,6 +37,8 @@ if TYPE_CHECKING:
 
 _FEW: Final = 4
 """Cells of a shard that is built here. Larger shards take longer, and their processes build them side by side."""
+
+_PAUSE_S: Final = 0.0005
 
 _STAND_IN: Final = "max_consensus"
 """Bundled program that is exercised instead of a user's: its cells talk, and it needs no parameters."""
@@ -71,9 +76,9 @@ def _work(order: WorkerConfig, built: Sequence[BuiltShard], shard: int) -> None:
 
 
 def _exercise(order: WorkerConfig) -> None:
-    """Run a shard that is then thrown away, without its process: what fills caches is shared by the processes."""
-    bus = MemoryBus()
-    shard = build_shard(order, 0).cells
+    """Run a shard for a tick without its process: what fills caches is shared by the processes."""
+    bus, built = MemoryBus(), build_shard(order, 0)
+    shard = built.cells
     endpoint = bus.endpoint()
     host = Coordinator(
         bus.endpoint(),
@@ -90,24 +95,27 @@ def _exercise(order: WorkerConfig) -> None:
     if shard.message is None or order.wire == "relayed":  # else neighbours would have to subscribe first
         member.ready()
     host.publish(_at_rest(len(order.array), order.sensors))
-    inputs = member.gather(0, 0.0)
-    assert isinstance(inputs, TickInputs), "this is a bug: the senses that were published did not arrive"
-    sense, _ = inputs
-    links = None
-    for tick in range(2):
-        outputs = shard.step(
-            tick, sense.presence, sense.encoder_m, links, sense.level, label=sense.label, camera=None
-        )
-        links = outputs.links
-        if tick == 0:
-            member.publish(
-                DriveFrame(tick, outputs.drive),
-                None if links is None else LinkFrame(tick, links.sent, links.message),
-            )
-    with asyncio.Runner(loop_factory=partial(TransportEventLoop, endpoint)) as runner:
-        runner.run(asyncio.sleep(0.0))
+
+    over = threading.Event()
+
+    def stop() -> None:
+        while shard.tick < 0 and not over.wait(_PAUSE_S):
+            pass
+        host.control(Control("stop", 1))
+
+    # a thread of its own: a timer of the loop would keep the agent from waiting for payloads alone
+    stopper = threading.Thread(target=stop, name="stop", daemon=True)
+    stopper.start()
+    inject = agent.injector(shard, built.site, order.partition.lattice)
+    watched = partial(Watchdog, order.scene.stall.deadline_s, "stall.deadline_s")
+    try:
+        with asyncio.Runner(loop_factory=partial(TransportEventLoop, endpoint)) as runner:
+            runner.run(agent.run(shard, member, inject, built.records, watched=watched))
+    finally:
+        over.set()
+        stopper.join()
+    host.close()  # first: the participant waits for it
     member.close()
-    host.close()
 
 
 def _at_rest(cells: int, sensors: SensorSchema) -> SenseFrame:
