@@ -187,13 +187,13 @@ class Motors:
 
     def command(self, drives: Floats, span_s: float, acts_s: Floats | None = None) -> WheelRun:
         """Motion under the voltages, and how it changes where they act later or wheels stop on the way."""
-        volts = np.empty_like(drives)
-        self._entry.limited(drives, self._supply_v, volts)
+        volts = np.empty((len(self._volts), 2))
+        self._entry.limited(_whole(drives), self._supply_v, volts)
         before, self._volts = self._volts, volts
         slowing = np.zeros((len(volts), 4)) if self._loaded else None
         if acts_s is not None:
             first, begun_s = np.empty_like(volts), np.empty_like(volts)
-            if self._entry.delayed(volts, before, acts_s, first, begun_s):
+            if self._entry.delayed(volts, before, _whole(acts_s), first, begun_s):
                 return self._over(first, volts, begun_s, span_s, slowing)
         steady, decay, stops = self._set_off(self._speed, volts, 0.0, span_s)
         return WheelRun(WheelMotion(steady, decay, self._rate, slowing), _changes(stops))
@@ -219,7 +219,7 @@ class Motors:
         ``tau ln(1 + |V / s|)``.
         """
         steady, decay, ratio = np.empty_like(volts), np.empty_like(volts), np.empty_like(volts)
-        if not self._entry.set_off(speed, volts, self._law, steady, decay, ratio):
+        if not self._entry.set_off(_whole(speed), volts, self._law, steady, decay, ratio):
             return steady, decay, []
         after_s = begun_s + self._motor.time_constant_s * np.log1p(ratio)
         stops = after_s < end_s
@@ -237,7 +237,7 @@ class Motors:
             covered = -math.expm1(-motion.rate * span_s) / motion.rate
             self._travel, self._speed = np.empty_like(begun), np.empty_like(begun)
             self._entry.elapse(
-                motion.steady, motion.decay, begun, span_s, covered, left, self._travel, self._speed
+                motion.steady, motion.decay, _whole(begun), span_s, covered, left, self._travel, self._speed
             )
             passed = None if reads_s is None else begun + run.travel(reads_s)
         elif reads_s is None:
@@ -259,6 +259,11 @@ class Motors:
     def travel(self) -> Floats:
         """``(n, 2)`` m of surface passed since the start."""
         return self._travel
+
+
+def _whole(array: Floats) -> Floats:
+    """Return an array in one piece and aligned, as kernels take it: the array itself if it is."""
+    return np.require(array, np.float64, ("C", "A"))
 
 
 def _changes(rows: list[WheelChanges]) -> WheelChanges | None:

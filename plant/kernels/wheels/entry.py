@@ -1,15 +1,22 @@
-"""The compiled entry points for motors, cached on disk; importing this loads or compiles nothing yet."""
+"""The compiled entry points for motors: compiled, or loaded from disk, when this is imported."""
 
 from __future__ import annotations
 
-from numba import njit
+from numba import njit, types
 
 from bus.kernel_cache.locator import disk_cached
 from plant.kernels.wheels import motors
 
+REAL = types.float64
+LAW = types.Array(REAL, 1, "C", readonly=True)
+CELLS = types.Array(REAL, 1, "C", readonly=True)
+READ = types.Array(REAL, 2, "C", readonly=True)
+FILLED = types.Array(REAL, 2, "C")
+
 with disk_cached(__name__):
-    limited = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(motors.limited.py_func)
-    delayed = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(motors.delayed.py_func)
-    set_off = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(motors.set_off.py_func)
-    stand = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(motors.stand.py_func)
-    elapse = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(motors.elapse.py_func)
+    options = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+    limited = njit((READ, REAL, FILLED), **options)(motors.limited.py_func)
+    delayed = njit((READ, READ, CELLS, FILLED, FILLED), **options)(motors.delayed.py_func)
+    set_off = njit((READ, READ, LAW, FILLED, FILLED, FILLED), **options)(motors.set_off.py_func)
+    stand = njit((READ, LAW, FILLED, FILLED), **options)(motors.stand.py_func)
+    elapse = njit((READ, READ, READ, REAL, REAL, REAL, FILLED, FILLED), **options)(motors.elapse.py_func)

@@ -7,8 +7,8 @@ from typing import Any, cast
 import msgpack  # pyright: ignore[reportMissingTypeStubs]
 import pytest
 
-from bus.wire.binary_layout import FEW, BinaryLayout
 from bus.wire.msgpack_codec import TICK_LIMIT, VERSION
+from bus.wire.packed import FEW, BinaryLayout
 
 SIZES = {"presence": 3, "encoder_m": None, "drive": FEW}
 PARTS = (b"abc", bytes(range(256)) * (FEW // 256))

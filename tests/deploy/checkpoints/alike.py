@@ -16,6 +16,9 @@ SCRATCH = {
     ("PlantProcess", "hooks"): "they belong to whoever runs it",
     ("CompiledController", "_bound"): "the memory of the shard's state, where that was stepped before",
     ("Shard", "_kernel"): "likewise: it takes over a state before it steps it",
+    ("NeighbourList", "_there"): "where parcels were when it was made; one made anew has the same pairs",
+    ("NeighbourList", "_centre"): "likewise",
+    ("NeighbourList", "_pairs"): "likewise",
     ("Spots", "_parcels"): "states are put in before they are looked at",
 }
 """Attributes that may differ, and why."""
