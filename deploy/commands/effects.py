@@ -107,7 +107,9 @@ def effects(
     from deploy.util.signals import Interruption
 
     if only is not None and (ladder or output is not None):
-        raise InputError(f"--only {only}: not with the ladder, where each rung adds to those below it")
+        raise InputError(
+            f"--only {only}: not with the ladder (--ladder or --output), where each rung adds to those below it"
+        )
     if advise and (ladder or output is not None):
         raise InputError("--advise: not with the ladder; leave out --ladder and --output")
     names = None if only is None else _names(only)
