@@ -11,7 +11,7 @@ import pytest
 from bus.lattice import Lattice
 from bus.partition import Partition
 from bus.state import load_state, save_state
-from cell_firmware.board import has_hardware
+from cell_firmware.board import has_kernels
 from cell_firmware.board_presets import BOARDS
 from cell_firmware.build import MotorFacts
 from cell_firmware.cell import CellFirmware, CellInputs, CellOutputs, PerCellAdapter
@@ -91,6 +91,9 @@ PROGRAMS: dict[str, Callable[[], Firmware]] = {
     ),
     "presence_field": lambda: bundled("presence_field", field=FIELD, reach=2, ttl_periods=2),
     "velocity_field": lambda: bundled("velocity_field", field=FIELD),
+    "exploding": lambda: bundled(
+        "heat_diffusion", initial=[{"cell": [0, 0], "speed_m_s": [0.4, -0.2]}], diffusion_number=1e99
+    ),
     "moody": lambda: Moody(NoParameters()),
     "plain": lambda: PerCellAdapter(Plain(NoParameters())),
 }
@@ -121,9 +124,7 @@ class Pair:
         partition = Partition.even(lattice, shards)
         self.both = [lockstep(PROGRAMS[program](), partition, motors, enabled, 3, clocks) for _ in range(2)]
         for shard in self.both[0].shards:
-            assert isinstance(shard._controller, CompiledController) == has_hardware(
-                shard._controller.general
-            )
+            assert isinstance(shard._controller, CompiledController) == has_kernels(shard._controller.general)
         for shard in self.both[1].shards:
             shard._controller, shard._kernel = shard._controller.general, None
         self.draw = np.random.default_rng([shards, len(program)])
@@ -171,7 +172,7 @@ def test_the_compiled_controller_gives_the_same_bits(lockstep: Any, program: str
 @pytest.mark.slow
 @pytest.mark.parametrize("shards", [pytest.param(1, marks=pytest.mark.nightly), 4])
 @pytest.mark.parametrize("effects", list(EFFECTS))
-@pytest.mark.parametrize("program", list(PROGRAMS))
+@pytest.mark.parametrize("program", [name for name in PROGRAMS if name != "exploding"])
 def test_the_compiled_controller_gives_the_same_bits_for_every_board(
     lockstep: Any, program: str, effects: str, shards: int
 ) -> None:
@@ -200,6 +201,21 @@ def test_a_program_that_hangs_under_the_compiled_controller_is_reset(lockstep: A
     counters = pair.both[0].shards[0].counters()
     assert counters["cop.hangs"] > 3
     assert counters["cop.resets"] > 3
+
+
+@pytest.mark.parametrize("effects", ["none", "watchdog"])
+def test_a_program_in_scalar_form_that_drives_no_number_fails_alike(lockstep: Any, effects: str) -> None:
+    """Without a watchdog its cell is lost, and the others go on; with one it hangs and is reset."""
+    pair = Pair(lockstep, "exploding", effects, 2, None)
+    for _ in range(40):
+        pair.step()
+        pair.compare()
+    ours = pair.both[0]
+    if effects == "none":
+        assert len({failure.cell for failure in ours.failures}) > 3
+        assert "not finite" in ours.failures[0].problem
+    else:
+        assert sum(shard.counters()["cop.hangs"] for shard in ours.shards) > 3
 
 
 def test_a_snapshot_goes_from_either_controller_to_the_other(lockstep: Any) -> None:
