@@ -18,7 +18,7 @@ from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Bools, Floats, Messages, State
 from cell_firmware.kernels import shard as kernels
 from cell_firmware.kernels.arguments import readable
-from cell_firmware.kernels.program import NO_MESSAGE, inputs_type, outputs_type
+from cell_firmware.kernels.program import inputs_type, outputs_type
 from cell_firmware.scalar import ScalarFirmware, kernels_of, parameters_record, state_records
 from cell_firmware.shard_links import Indices, ShardLinks
 
@@ -155,7 +155,7 @@ class ShardKernel:
         self._links = links
         self._cells, self._sensors, self._period_ns = links.cells, sensors, period_ns
         self._debounce = debounce
-        self._line = controller.link_type or NO_MESSAGE
+        self._line = np.dtype(np.bool_) if controller.link_type is None else controller.link_type
         self._parameters = parameters_record(module.PARAMETERS, firmware.constants())
         self._records: NDArray[Any] = np.zeros(0, dtype=module.STATE)
         self._program: State = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import time
 from dataclasses import dataclass
 
@@ -116,7 +115,6 @@ def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
 
 def _work(exchange: Exchange, worker: int, locator: str) -> None:
     """Wait for the senses and for what other workers sent in the tick before, and answer."""
-    os.environ.pop("ZENOH_RUNTIME", None)  # the plant's, which is another
     session = open_client(locator).session
     out = [(to, size) for sender, to, size in exchange.links if sender == worker]
     links_in = sum(to == worker for _, to, _ in exchange.links)

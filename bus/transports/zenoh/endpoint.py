@@ -232,13 +232,9 @@ class ZenohEndpoint(Endpoint):
 
 
 _PORT_ATTEMPTS: Final = 20
-_READER: Final = "acc: (handover: rx), net: (handover: rx), app: (handover: rx)"
-_AT_PLANT: Final = f"(rx: (worker_threads: 1), tx: (worker_threads: 1), {_READER})"
-"""Zenoh's threads of the plant's process. Sockets belong to the pool that accepted them: with a pool of its own, that
-pool is woken for every payload, to wake the one that reads. Sending has a thread of its own: a put waits for it, and a
-flood may meanwhile keep the reading one waiting for room in a channel."""
-_AT_CELLS: Final = f"(rx: (worker_threads: 1), tx: (handover: rx), {_READER})"
-"""Zenoh's thread of a process of cells, which exchanges a few payloads a tick."""
+_RUNTIME: Final = "(rx: (worker_threads: 1), tx: (handover: rx), acc: (handover: rx), net: (handover: rx), app: (handover: rx))"
+"""Zenoh's thread of a process of cells, which exchanges a few payloads a tick. A socket belongs to the pool that opened
+it: with a pool of its own for that, each payload wakes a thread that wakes the one that reads."""
 _NO_PORT: Final = ":0"
 
 
@@ -258,7 +254,6 @@ def open_hub(
     Raises:
         TransportError: The port is in use, or the endpoint makes no sense.
     """
-    _choose_threads(_AT_PLANT)
     refusals = None
     if gate is not None:
         from bus.transports.zenoh.access_log import AccessLogMonitor
@@ -339,15 +334,9 @@ def open_client(
     Raises:
         TransportError: No session listens there within ``timeout_s``, or it refuses this identity.
     """
-    _choose_threads(_AT_CELLS)
+    os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)  # read once, at a process's first session
     config = client_config(connect, lease_s, timeout_s, identity)
     return ZenohEndpoint(_open(config, f"connect to {connect}"), connect)
-
-
-def _choose_threads(pools: str) -> None:
-    """Choose the threads of Zenoh's pools, unless the user has; Zenoh looks once, at a process's first session."""
-    if os.environ.get("ZENOH_RUNTIME", pools) in (_AT_PLANT, _AT_CELLS):
-        os.environ["ZENOH_RUNTIME"] = pools
 
 
 def _open(config: zenoh.Config, attempted: str) -> zenoh.Session:
