@@ -232,7 +232,10 @@ class ZenohEndpoint(Endpoint):
 
 
 _PORT_ATTEMPTS: Final = 20
-_RUNTIME: Final = "(rx: (worker_threads: 1), tx: (handover: rx), acc: (handover: rx), net: (handover: rx), app: (handover: rx))"
+_RUNTIME: Final = (
+    "(rx: (worker_threads: 1), tx: (handover: rx), acc: (handover: rx), net: (handover: rx), "
+    "app: (handover: rx))"
+)
 """Zenoh's thread of a process of cells, which exchanges a few payloads a tick. A socket belongs to the pool that opened
 it: with a pool of its own for that, each payload wakes a thread that wakes the one that reads."""
 _NO_PORT: Final = ":0"
