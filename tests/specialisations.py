@@ -78,6 +78,7 @@ SPECIALISATIONS = (
     Specialisation("implicit", 39, "implicit"),
     Specialisation("quasi_static", 4, "quasi_static"),
     Specialisation("fixed_step", 3, "fixed_step"),
+    Specialisation("motors", 4, "fixed_step", {"motors": {}}),
     Specialisation("exact_segmented", 55, "exact", needed="kernels", segmented=True, includes="exact"),
     Specialisation("implicit_loaded", 31, "implicit", LOADED, needed="kernels"),
     Specialisation(
