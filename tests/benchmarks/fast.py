@@ -127,6 +127,7 @@ def draw_runs(rows: list[Row], axes: Axes) -> None:
             goal = axes.plot([row["goal"]] * 2, [place, place + 0.4], color="#22272e", linewidth=1.5)
             goal[0].set_label("goal" if place == 0 else "")
     axes.set_xscale("log")
+    axes.set_xlim(left=0.2 * min((row["real"]["ticks_per_s"] for row in rows), default=1.0))
     axes.set_yticks(range(len(rows)), [row["title"] for row in rows])
     axes.invert_yaxis()
     axes.set_xlabel("ticks/s (number: share of the bare rate)")
