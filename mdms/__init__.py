@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, Outbox, Outputs, State
     from cell_firmware.program import NoParameters, Program, Theory
     from deploy.errors import DeployError, InputError
+    from deploy.live.client import LiveRun
+    from deploy.live.frame import RunFrame
     from deploy.recordings.reader import CellTrace, ParcelTrace, Recording
     from deploy.recordings.reader import load as load_recording
     from deploy.runs.backends import CellsBackend, InProcess, Workers
@@ -58,6 +60,7 @@ __all__ = [
     "InputError",
     "Inputs",
     "Lattice",
+    "LiveRun",
     "NoParameters",
     "NotNegative",
     "Outbox",
@@ -72,6 +75,7 @@ __all__ = [
     "Problem",
     "Program",
     "Recording",
+    "RunFrame",
     "RunResult",
     "Scene",
     "SceneError",
@@ -97,6 +101,8 @@ _MODULES: Final = {
     "cell_firmware.firmware": ("Cells", "Firmware", "Inbox", "Inputs", "Outbox", "Outputs", "State"),
     "cell_firmware.program": ("NoParameters", "Program", "Theory"),
     "deploy.errors": ("DeployError", "InputError"),
+    "deploy.live.client": ("LiveRun",),
+    "deploy.live.frame": ("RunFrame",),
     "deploy.recordings.reader": ("CellTrace", "ParcelTrace", "Recording", "load_recording=load"),
     "deploy.runs.backends": ("CellsBackend", "InProcess", "Workers"),
     "deploy.runs.result": ("RunResult",),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plant.errors import PlantError
 from plant.overlap import OverlapDetector
@@ -29,16 +30,45 @@ def check_standing(spec: PlantSpec, solver: Solver, cells: int) -> None:
     """
     driven = np.ones(cells)
     for i, body in enumerate(solver.bodies):
-        under = len(solver.covered_cells(i))
-        if under == 0:
-            raise PlantError(
-                f"{_place(spec, i, body.state)}: the parcel stands on nothing: no cell's centre lies under it"
-            )
-        if not solver.find_supports(i, driven):
-            raise PlantError(
-                f"{_place(spec, i, body.state)}: the parcel would tip: its centre of mass lies outside "
-                f"the {_counted(under)} under it"
-            )
+        check_stands(solver, i, driven, _place(spec, i, body.state))
+
+
+def check_stands(solver: Solver, index: int, driven: Floats, place: str) -> None:
+    """Find the loads of a parcel at its pose.
+
+    Args:
+        solver: solver of the parcel.
+        index: which parcel.
+        driven: ``(n,)`` ones.
+        place: names the parcel, or the key of its place, in the error.
+
+    Raises:
+        PlantError: the cells under the parcel can't carry it.
+    """
+    under = len(solver.covered_cells(index))
+    if under == 0:
+        raise PlantError(f"{place}: the parcel stands on nothing: no cell's centre lies under it")
+    if not solver.find_supports(index, driven):
+        raise PlantError(
+            f"{place}: the parcel would tip: its centre of mass lies outside the {_counted(under)} under it"
+        )
+
+
+def check_free(state: Floats, index: int, overlaps: OverlapDetector, there: NDArray[np.int64]) -> None:
+    """Refuse a pose at which a parcel overlaps another.
+
+    Args:
+        state: ``(parcels, 6)``.
+        index: which parcel.
+        overlaps: overlap detector of the parcels' footprints.
+        there: parcels on the surface, ascending.
+
+    Raises:
+        PlantError: it overlaps one.
+    """
+    other = overlaps.first_blocker(index, state, there[there != index])
+    if other is not None:
+        raise PlantError(f"parcel {index} would overlap parcel {other}")
 
 
 def _counted(cells: int) -> str:

@@ -17,13 +17,14 @@ from bus.state import StateFields
 from plant.array import CellArray
 from plant.errors import PlantError, PlantHalted
 from plant.factories import make_scanners, make_spots, make_traffic, make_wheels
-from plant.initial_checks import check_places, check_standing
+from plant.initial_checks import check_free, check_places, check_standing, check_stands
 from plant.monitors import EventLog, RestDetector
 from plant.observations import Event, ParcelStatus, Sense, TrafficCount, Trajectory
 from plant.overlap import OverlapDetector, meeting
 from plant.propagate import Propagator
 from plant.sampling import SensorSampler, Timing
 from plant.solver_api import Solver
+from plant.solvers.compiled import CompiledSolver
 from plant.solvers.registry import make_solver
 from plant.specs import PlantSpec
 from plant.wheels import Floats, LossPolicy, Wheels
@@ -164,6 +165,39 @@ class Plant:
         level = None if self._spots is None else self._spots.level(state, there)
         label = None if self._scanners is None else self._scanners.label(state, there)
         return Sense(presence, None if travel is None else _read_only(travel), level, label)
+
+    def place_parcel(self, index: int, pose: Floats) -> None:
+        """Put a parcel at rest elsewhere, between two calls; all cells read their sensors anew.
+
+        Args:
+            index: which parcel.
+            pose: ``(3,)`` x, y in m, angle in rad.
+
+        Raises:
+            PlantError: there is no such parcel on the surface, it can't stand there, or it would overlap another
+                parcel or a rail. Nothing has changed then.
+        """
+        if not 0 <= index < len(self.status) or index not in self._moves.on_surface:
+            raise PlantError(f"parcel {index} is not on the surface")
+        solver = self._solver
+        if not isinstance(solver, CompiledSolver):
+            raise PlantError(
+                f"solver.name: {type(solver).__name__} can't put parcels elsewhere: use a compiled solver"
+            )
+        before = solver.snapshot(np.array([index]))
+        solver.set_state(index, np.concatenate([pose, np.zeros(3)]))
+        try:
+            check_stands(solver, index, np.ones(len(self.array)), f"parcel {index}")
+            check_free(self.state, index, self._overlaps, self._moves.on_surface)
+            if self._contact is not None:
+                self._contact.check_start(self._moves.on_surface)
+        except PlantError:
+            solver.restore(before)
+            raise
+        self.status[index] = ParcelStatus("moving", self._now_ns * 1e-9)
+        if index not in self._moves.moving:
+            self._moves.moving = np.sort(np.append(self._moves.moving, index))
+        self._last_readings = self.sense()
 
     def warm_up(self) -> None:
         """Compile, or load, what calls with timing, and wheels that stop on the way, need beyond others."""

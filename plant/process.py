@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
@@ -45,6 +46,8 @@ class PlantProcess:
 
     Attributes:
         hooks: As given; may be added to between ticks.
+        pace: Waits until a tick, given its start in ns of simulated time, is due; None: ticks run as fast as possible.
+            Called before anything of the tick happens; may be replaced between ticks.
         tick: The tick that is under way, or the next.
         time_ns: Simulated time reached.
         waiting: Whether the process waits for the cells or the clock: an exception raised by a signal handler
@@ -94,6 +97,7 @@ class PlantProcess:
         )
         self._over: TickRecord | None = None
         self.hooks = TickHooks() if hooks is None else hooks
+        self.pace = clock.pace
         self.tick = 0
         self.time_ns = 0
         self.waiting = False
@@ -119,6 +123,10 @@ class PlantProcess:
         if self.time_ns >= self._clock.duration_ns:
             self.report()
             return LoopResult("failed", nobody=True) if self._nobody() else LoopResult("ok")
+        if self.pace is not None:
+            self.report()
+            with self.idle():
+                self.pace(self.time_ns)
         for before_tick in self.hooks.before_tick:
             before_tick(self.tick)
         if self._abort and (dying := self._dying()):
@@ -164,6 +172,12 @@ class PlantProcess:
         self._faults.add(fault)
         self.replan()
 
+    def place_parcel(self, parcel: int, pose: Floats) -> None:
+        """Put a parcel at rest elsewhere, between two ticks; see ``plant.plant.Plant.place_parcel``."""
+        self.report()
+        self._plant.place_parcel(parcel, pose)
+        self._state, self._sense = self._plant.state, self._plant.last_readings
+
     def replan(self) -> None:
         """Update the fault schedule after a fault's end tick has changed."""
         if self._faults is not None:
@@ -181,7 +195,7 @@ class PlantProcess:
         died = self._deaths.schedule.get(tick, ()) if self._deaths.schedule else ()
         if died:
             died = self._dead.mark_dead(died, self._drives)
-        drives, losses = self._exchange(tick, start_ns, sense, died)
+        drives, losses = self._exchange(tick, sense, died)
         if losses:
             if self._ended(losses):
                 return losses
@@ -220,21 +234,12 @@ class PlantProcess:
         timing = Timing(np.where(late, -1, acts_ns), np.where(reads_ns < until_ns, reads_ns, -1))
         return self._plant.advance(self._drives, until_ns, timing)
 
-    def _exchange(
-        self, tick: int, start_ns: int, sense: Sense, died: tuple[int, ...]
-    ) -> tuple[Floats, Sequence[Loss]]:
+    def _exchange(self, tick: int, sense: Sense, died: tuple[int, ...]) -> tuple[Floats, Sequence[Loss]]:
         """Publish the sensor readings, and gather the drives and the losses of a tick.
 
         Cells that die in this tick still receive readings: the start of a tick confirms to a cell that its earlier
         messages have arrived. The previous tick is reported while the cells compute.
         """
-        if self._clock.pace is not None:
-            self.report()
-            self.waiting = True
-            try:
-                self._clock.pace(start_ns)
-            finally:
-                self.waiting = False
         picture = None
         if self._camera is not None:
             picture = self._camera.capture(tick, self._state, self._plant.on_surface)
@@ -244,12 +249,18 @@ class PlantProcess:
         if died:
             self._coordinator.mark_dead(died, tick)
         self.report()
+        with self.idle():
+            frame, losses = self._coordinator.gather(tick)
+        return frame.drive, losses
+
+    @contextmanager
+    def idle(self) -> Generator[None]:
+        """Mark the process as waiting inside the context."""
         self.waiting = True
         try:
-            frame, losses = self._coordinator.gather(tick)
+            yield
         finally:
             self.waiting = False
-        return frame.drive, losses
 
     def report(self) -> None:
         """Hand the record of the last tick to the hooks, once."""

@@ -152,7 +152,7 @@ TOGETHER: dict[str, tuple[Breakage, ...]] = {
             KERNELS,
             cycle_in="plant.kernels",
         ),
-        breaks("deploy/workers/pool.py", "import deploy.runs.pace", DEPLOY, cycle_in="deploy"),
+        breaks("deploy/workers/pool.py", "import deploy.runs.headless", DEPLOY, cycle_in="deploy"),
     ),
 }
 """Breakages that one report can tell apart: none makes another's import part of a chain that breaks more."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import final
 
 from bus.errors import WireError
@@ -10,6 +11,10 @@ from bus.lockstep.counters import MessageCounters
 from bus.lockstep.shard_io import ParticipantMembership
 from bus.transports.base import LivelinessChange
 from bus.wire.frames import Control, decode_control
+
+
+def _ignore() -> None:
+    """Do nothing."""
 
 
 @final
@@ -29,6 +34,7 @@ class ControlState:
         stop: The record that ends the run; None until it arrives.
         rejoins_offered: Rejoin records that the shard has not answered yet.
         rejoin_tick: First tick of the shard's own cells after a rejoin; None until known.
+        on_show: Called when the plant requests the registers once more, for observers.
         snapshot_tick: Tick before which the plant requests a snapshot; -1 if it requests none.
         unanswered: Cells (indices) reported as failed whose loss the plant has not announced yet.
     """
@@ -47,6 +53,7 @@ class ControlState:
         self.stop: Control | None = None
         self.rejoins_offered: list[Control] = []
         self.rejoin_tick: int | None = None
+        self.on_show: Callable[[], None] = _ignore
         self.snapshot_tick = -1
         self.unanswered: set[int] = set()
 
@@ -65,11 +72,11 @@ class ControlState:
         control = decode_control(payload, len(self._lattice))
         if not all(cell in self._lattice for cell in control.cells):
             raise WireError("control", "cells", "names a cell that is not in the array")
+        if control.kind == "snapshot" or control.kind == "show":  # no part of the lockstep, and not counted
+            self._take_request(control)
+            return
         cells = [self._lattice.index(cell) for cell in control.cells]
         match control.kind:
-            case "snapshot":
-                self.snapshot_tick = control.tick
-                return  # no part of the lockstep, and not counted
             case "start":
                 if self.resumed:
                     return  # counted when the run began
@@ -88,6 +95,13 @@ class ControlState:
                 self._membership.mark_lost(cells, control.tick)
                 self.unanswered.difference_update(cells)
         self._counts.delivered += 1
+
+    def _take_request(self, control: Control) -> None:
+        """Handle a request for a snapshot or for the registers."""
+        if control.kind == "snapshot":
+            self.snapshot_tick = control.tick
+        else:
+            self.on_show()
 
     @property
     def has_faults(self) -> bool:

@@ -37,7 +37,6 @@ from bus.wire.keys import owner_of, plant_key, shard_key
 
 _POLL_S: Final = 0.01
 """Polling interval for matches, which cause no event, wall seconds."""
-_STATE_POLL_S: Final = 0.5
 _PATIENCE: Final = 9
 """Additional deadlines for a shard that reports ``busy``."""
 _BEFORE: Final = -1
@@ -91,9 +90,6 @@ class Coordinator:
         self._tick = 0
         self._sense = [endpoint.publisher(key) for key in self._form.sense_keys]
         self._control = endpoint.publisher(plant_key(run, "control"))
-        self._state = endpoint.publisher(plant_key(run, "state"))
-        self._state_polled: float | None = None
-        self._state_wanted = False
         self._closed = _BEFORE
         self._relayed: RelayedLinks | None = None
         self._resent = _BEFORE
@@ -338,6 +334,11 @@ class Coordinator:
         """Return reports of programs that hung since the last call; the cells of these programs stay live."""
         return self._reported.drain_hung()
 
+    def show_registers(self) -> None:
+        """Have all shards publish their registers once more, for observers; call between two ticks."""
+        self._seen.show(self._closed)
+        self._control.put(encode_control(Control("show", max(self._closed, 0))))
+
     def drain_registers(self) -> list[RegisterSnapshot]:
         """Return register snapshots since the last call; a tick's snapshot is complete once its drives are gathered."""
         return self._seen.drain()
@@ -348,15 +349,6 @@ class Coordinator:
         """Send a control record to all shards."""
         self._control.put(encode_control(record))
         self.counters.sent += len(self._membership.shards(self._tick))
-
-    def publish_state(self, payload: bytes) -> None:
-        """Publish ``payload`` on the plant's state key while it has a subscriber; checked about twice a second."""
-        now = self._clock()
-        if self._state_polled is None or now - self._state_polled >= _STATE_POLL_S:
-            self._state_polled = now
-            self._state_wanted = self._state.matched()
-        if self._state_wanted:
-            self._state.put(payload)
 
     def stop(self, detail: str = "", deadline_s: float = 2.0) -> MessageCounters:
         """Stop the run: send the stop record, wait for counters, withdraw the token, and wait for the cells' tokens.

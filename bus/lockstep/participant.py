@@ -118,6 +118,8 @@ class Participant:
         )
         registers = endpoint.publisher(shard_key(run, shard, "registers"))
         self._registers = RegisterPublisher(registers, wanted, self.counters, clock)
+        # The record is handled while the shard waits for the next tick.
+        self._control.on_show = lambda: self._registers.show(self._tick - 1)
         self._snapshots: SnapshotPublisher | None = None
         if keeps:
             self._snapshots = SnapshotPublisher(

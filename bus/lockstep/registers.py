@@ -218,6 +218,7 @@ class RegisterPublisher:
         self._counts = counts
         self._clock = clock
         self._next_poll = 0.0
+        self._read: Callable[[], Own] | None = None
 
     @property
     def idle(self) -> bool:
@@ -231,6 +232,7 @@ class RegisterPublisher:
             tick: The tick just computed.
             read: Returns the registers; called only if they are requested.
         """
+        self._read = read
         wanted = requested_at(self.requests, tick) if self.requests else None
         if (wanted is None or wanted.names is not None) and self._watched():
             wanted = RegisterRequest(1)
@@ -241,6 +243,12 @@ class RegisterPublisher:
             registers = {name: array for name, array in registers.items() if name in wanted.names}
         self.publisher.put(encode_registers(RegisterFrame(tick, cells, encodable(registers))))
         self._counts.sent += 1
+
+    def show(self, tick: int) -> None:
+        """Publish the registers after ``tick``, the last tick, once more if they have an observer; not counted."""
+        if self._read is not None and self.publisher.matched():
+            cells, registers = self._read()
+            self.publisher.put(encode_registers(RegisterFrame(tick, cells, encodable(registers))))
 
     def _watched(self) -> bool:
         """Whether the registers have an observer; checked a few times a second."""
@@ -275,6 +283,8 @@ class RegisterReceiver:
         self._now = now
         self._frames: dict[tuple[int, int], RegisterFrame] = {}
         """By tick and shard."""
+        self._shown = -1
+        """Tick whose registers were requested once more; those that come now are for observers."""
 
     def handle(self, shard: int, payload: bytes) -> None:
         """Handle a register payload of a shard.
@@ -288,6 +298,8 @@ class RegisterReceiver:
             raise WireError("registers", "cells", f"must be cells of shard {shard}")
         # They come between the senses of their tick and its drives.
         now = self._now()
+        if frame.tick == self._shown:
+            return
         if frame.tick > now:
             raise WireError("registers", "ahead", f"tick {frame.tick}: must be at most {now}")
         if frame.tick < now:
@@ -298,6 +310,10 @@ class RegisterReceiver:
         self._counts.delivered += 1
         if requested_at(self._wanted, frame.tick) is not None:
             self._frames[frame.tick, shard] = frame  # others are for those who watch
+
+    def show(self, tick: int) -> None:
+        """Ignore further registers of ``tick``, the last tick, whose drives have been gathered."""
+        self._shown = tick
 
     def drain(self) -> list[RegisterSnapshot]:
         """Return register snapshots since the last call; a tick's snapshot is complete once its drives are gathered."""

@@ -55,10 +55,11 @@ class LinkFrame(NamedTuple):
 class Control:
     """Control record of the plant to all shards; ``cells`` are ``(row, column)``.
 
-    ``snapshot`` requests a snapshot before ``tick``.
+    ``snapshot`` requests a snapshot before ``tick``. ``show`` requests the registers after the last tick, ``tick``,
+    once more, for observers.
     """
 
-    kind: Literal["start", "snapshot", "lost", "rejoin_prepare", "rejoin_commit", "fault", "stop"]
+    kind: Literal["start", "snapshot", "show", "lost", "rejoin_prepare", "rejoin_commit", "fault", "stop"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
@@ -150,7 +151,7 @@ def encode_control(control: Control) -> bytes:
     )
 
 
-_CONTROLS: Final = ("start", "snapshot", "lost", "rejoin_prepare", "rejoin_commit", "fault", "stop")
+_CONTROLS: Final = ("start", "snapshot", "show", "lost", "rejoin_prepare", "rejoin_commit", "fault", "stop")
 _REPORTS: Final = ("failed", "hung", "rejoin_ready", "busy", "counters")
 _CONTROL: Final = layout("kind", "cells", "detail")
 _REPORT: Final = layout("kind", "cells", "detail", "counts", "counters")

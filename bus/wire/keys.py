@@ -55,7 +55,7 @@ def shard_link_key(run: str, source: int, target: int) -> str:
     return f"mdms/{run}/shard/{source}/to/{target}"
 
 
-def plant_key(run: str, leaf: Literal["state", "control", "alive", "operator"]) -> str:
+def plant_key(run: str, leaf: Literal["view", "control", "alive", "operator"]) -> str:
     """Key of the plant."""
     return f"mdms/{run}/plant/{leaf}"
 
@@ -76,7 +76,6 @@ def message_kinds(run: str, form: WireFormat, units: int) -> dict[str, int]:
     links = {} if form == "relayed" else {f"{unit}/to/*": units * len(SIDES)}
     return {
         f"{prefix}/plant/control": units,
-        f"{prefix}/plant/state": 1,
         f"{unit}/sense": units,
         **links,
         **{f"{prefix}/shard/*/{leaf}": units for leaf in ("snapshot", "registers", "report")},

@@ -132,7 +132,7 @@ class Checkpointer:
         elif draft.plant is None:
             process.report()
             self._host.record_counters()
-            if self._run_log.controls:
+            if self._run_log.disturbed:
                 self._stop(
                     "faults were injected at run time, and a checkpoint doesn't hold them; to repeat the run, use "
                     "mdms run --replay DIR"

@@ -16,6 +16,7 @@ COMMANDS = {
     "simulate": "Simulate the plant alone, with wheel speeds straight from the scene's field.",
     "accuracy": "Measure the cost of accuracy in time: every solver against a reference.",
     "campaign": "Run a scene over seeds, faults and parameters: one table, one plot.",
+    "control": "Pause, step, speed up, reset or stop a running system.",
     "constants": "Print the constants of motion of a pose: equilibrium, loads, torque.",
     "fault": "Inject a fault into a running system, or repair a fault.",
     "effects": "Show additions, cost and influence of every effect; a ladder of fidelity.",

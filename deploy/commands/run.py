@@ -98,6 +98,14 @@ RealtimeOption = Annotated[
         help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as possible.",
     ),
 ]
+PausedOption = Annotated[
+    bool,
+    typer.Option(
+        "--paused",
+        rich_help_panel=EXECUTION_PANEL,
+        help="Begin paused; mdms control resume, or a viewer, lets the run go on.",
+    ),
+]
 RegistersOption = Annotated[
     int | None,
     typer.Option(
@@ -177,6 +185,7 @@ def run(
     keys: KeysOption = None,
     insecure: InsecureOption = False,
     realtime: RealtimeOption = None,
+    paused: PausedOption = False,
     registers: RegistersOption = None,
     protocol_report: ProtocolReportOption = None,
     respawn: RespawnOption = 0,
@@ -214,6 +223,7 @@ def run(
         keys=keys,
         insecure=insecure,
         realtime=realtime,
+        paused=paused,
         output=scene_options.output,
         picture=scene_options.picture,
         registers=registers,

@@ -8,13 +8,16 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final, cast, final
+from typing import TYPE_CHECKING, Any, Final, cast, final
 
 from bus.errors import TransportError
 from bus.wire.keys import plant_key
 from deploy.errors import DeployError, InputError, RequestError
 from deploy.security.session import operator_session
 from deploy.util.files import write_text
+
+if TYPE_CHECKING:
+    from bus.transports.zenoh import ZenohEndpoint
 
 FILE_NAME: Final = "live.json"
 
@@ -126,9 +129,24 @@ def ask_run(
         RequestError: The run refuses the request; the message says why.
         DeployError: The run doesn't answer in time.
     """
+    endpoint = operator_session(connect, timeout_s, keys)
+    try:
+        return ask_at(endpoint, connect, request, timeout_s)
+    finally:
+        endpoint.close()
+
+
+def ask_at(
+    endpoint: ZenohEndpoint, connect: str, request: dict[str, Any], timeout_s: float
+) -> dict[str, Any]:
+    """Send a request over an open session, and return the answer; see ``ask_run``.
+
+    Raises:
+        RequestError: The run refuses the request; the message says why.
+        DeployError: The run doesn't answer in time.
+    """
     from bus.transports.zenoh.requests import send_request
 
-    endpoint = operator_session(connect, timeout_s, keys)
     try:
         text = send_request(endpoint, plant_key("*", "operator"), json.dumps(request).encode(), timeout_s)
         answer = _answer(json.loads(text))
@@ -136,8 +154,6 @@ def ask_run(
         raise DeployError(f"{connect}: {error}") from None
     except (ValueError, RecursionError):
         raise DeployError(f"{connect}: the answer is not from a run") from None
-    finally:
-        endpoint.close()
     if not answer["ok"]:
         raise RequestError(*answer["problems"])
     return answer

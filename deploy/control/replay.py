@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from deploy.recordings.reader import Recording
     from deploy.scenes.scene import Scene
 
+REPLAYED: Final = ("fault", "repair", "move")
+"""Kinds of live commands that change what is simulated."""
 FOUND: Final = ("disconnected", "timed_out")
 """Losses that don't recur independently when the run is repeated."""
 _FIRST_NUMBER: Final = 1_000_000
@@ -39,7 +42,8 @@ def commands_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], 
             f"--replay: the recording is of another scene than {scene.name}: {', '.join(differs)} differ; "
             "give the recorded scene, with its --set, --seed and --duration"
         )
-    script = (*recording.control, *_losses(recording.faults))
+    commands = (record for record in recording.control if record["kind"] in REPLAYED)
+    script = (*commands, *_losses(recording.faults))
     for record in script:
         try:
             _check(record, scene)
@@ -64,6 +68,10 @@ def _check(record: Mapping[str, Any], scene: Scene) -> None:
     int(record["tick"])
     if record["kind"] == "repair":
         int(record["detail"]["number"])
+    elif record["kind"] == "move":
+        int(record["detail"]["parcel"])
+        if not all(math.isfinite(value) for value in record["detail"]["pose"]):
+            raise ValueError("a pose must be finite")
     else:
         decode_command(record["detail"], scene)
 

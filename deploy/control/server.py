@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol, cast, final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Protocol, cast, final
 
+import numpy as np
 from pydantic import Field, ValidationError
 
 from bus.fault import FaultInstance, FaultSpec, tick_at
@@ -13,17 +14,30 @@ from bus.lattice import NO_TICK_LIMIT
 from bus.spec import Spec
 from bus.wire.frames import TEXT_LIMIT, Control
 from cell_firmware.faults.base import CellFault
+from deploy.control.flow import EndedByOperator, Flow, FlowProcess
 from deploy.control.replay import decode_command
+from deploy.control.requests import (
+    FaultRequest,
+    InjectRequest,
+    ListRequest,
+    MoveRequest,
+    RepairRequest,
+    Request,
+    ShowRequest,
+    StepRequest,
+)
 from deploy.errors import RequestError
-from deploy.faults.registry import DEFAULT, AnyFault
+from deploy.faults.registry import DEFAULT
 from deploy.scenes.errors import problems_of
 from deploy.scenes.fault_schedule import is_permanent_crash
+from plant.errors import PlantError
 from plant.faults.base import PlantFault
 
 if TYPE_CHECKING:
-    from bus.transports.zenoh.requests import RequestQueue
+    from bus.transports.zenoh.requests import IncomingRequest, RequestQueue
     from deploy.recordings.run_log import RunLog
     from deploy.scenes.scene import Scene
+    from plant.wheels import Floats
 
 _A_TICK: Final = 8
 """Most requests handled before a tick; the others wait for the next tick."""
@@ -33,31 +47,6 @@ _MOST_PROBLEMS: Final = 20
 """Most problems that an answer lists, which bounds the length of the answer."""
 
 Record = Mapping[str, Any]
-
-
-class InjectRequest(Spec):
-    """Request for a fault from the next tick on."""
-
-    op: Literal["inject"]
-    fault: Annotated[AnyFault, Field(discriminator="kind")]
-    for_s: Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)] | None = None
-    """Simulated time until the repair, s; None: as ``fault.until_s`` says, or no repair."""
-
-
-class RepairRequest(Spec):
-    """Request to repair an active fault at the next tick."""
-
-    op: Literal["repair"]
-    number: Annotated[int, Field(ge=0)]
-
-
-class ListRequest(Spec):
-    """Request for the list of faults."""
-
-    op: Literal["list"]
-
-
-Request = InjectRequest | RepairRequest | ListRequest
 
 
 class _Envelope(Spec):
@@ -90,18 +79,6 @@ def read_request(payload: bytes | None) -> Request:
         raise RequestError(*listed) from None
 
 
-class Process(Protocol):
-    """Operations of ``plant.process.PlantProcess`` that the control server uses."""
-
-    def inject(self, fault: FaultInstance[PlantFault]) -> None:
-        """Add a fault in the plant."""
-        ...
-
-    def replan(self) -> None:
-        """Update the fault schedule after a fault's end tick has changed."""
-        ...
-
-
 def _with_kind(request: object) -> object:
     """Return a request whose fault has a kind.
 
@@ -121,64 +98,73 @@ def _with_kind(request: object) -> object:
     return {**fields, "fault": fault}
 
 
-@final
-class ControlServer:
-    """Server of control requests, which are handled between two ticks.
+class FaultProcess(Protocol):
+    """Operations of ``plant.process.PlantProcess`` for faults."""
 
-    Each request acts from the next tick on, is answered and recorded.
+    def inject(self, fault: FaultInstance[PlantFault]) -> None:
+        """Add a fault in the plant."""
+        ...
+
+    def replan(self) -> None:
+        """Update the fault schedule after a fault's end tick has changed."""
+        ...
+
+
+@final
+class LiveFaults:
+    """Faults of a run: scheduled by its scene, or injected by operators.
+
+    An injected fault acts from the next tick on, and is recorded.
 
     Args:
         scene: Scene of the run.
-        run: Name of the run.
         faults: Faults that the scene schedules.
         send: Sends a control record to cells.
         run_log: Log of the run, which records faults and commands.
         process: Plant's process, which applies faults in the plant.
-        requests: Queue of incoming requests; None: no requests can be sent.
-        script: Recorded commands to repeat, each with its tick.
         lines: Whether serial lines are byte-accurate, so that faults can be injected into cells.
     """
 
     def __init__(
         self,
         scene: Scene,
-        run: str,
         faults: Sequence[FaultInstance[FaultSpec]],
         send: Callable[[Control], None],
         run_log: RunLog,
-        process: Process,
-        requests: RequestQueue | None = None,
-        script: Sequence[Record] = (),
+        process: FaultProcess,
         *,
         lines: bool = True,
     ) -> None:
         self._scene = scene
         self._lattice = scene.lattice()
-        self._run = run
         self._faults = {one.number: one for one in faults}
         self._send = send
         self._run_log = run_log
-        self._requests = requests
-        self._script = sorted(script, key=lambda record: int(record["tick"]))
         self._deaf = scene.effects.serial is not None and not lines
         self._repaired: set[int] = set()
         self._process = process
 
-    def before_tick(self, tick: int) -> None:
-        """Handle the replayed commands and the requests that act from ``tick`` on, which is the next tick."""
-        while self._script and self._script[0]["tick"] <= tick:
-            self._repeat(self._script.pop(0), tick)
-        if self._requests is None:
-            return
-        for _ in range(_A_TICK):
-            question = self._requests.drain()
-            if question is None:
-                return
-            try:
-                answer = self._handle(read_request(question.payload), tick)
-            except RequestError as error:
-                answer = {"ok": False, "problems": error.problems}
-            question.answer(json.dumps({"run": self._run, **answer}).encode())
+    def handle(self, request: FaultRequest, tick: int) -> dict[str, Any]:
+        """Handle a request before ``tick``; return the fields of the answer.
+
+        Raises:
+            RequestError: The fault can't be injected or repaired.
+        """
+        match request:
+            case InjectRequest():
+                one = self._new(request, tick)
+                self.inject(one)
+                cells = [list(self._lattice.cells[int(i)]) for i in one.cells[:64]]
+                return {"number": one.number, "cells": cells, "affected": len(one.cells)}
+            case RepairRequest():
+                self.repair(request.number, tick)
+                return {"number": request.number}
+            case ListRequest():
+                return {"faults": [self._listed(one, tick) for one in self._faults.values()]}
+
+    def active(self, tick: int) -> list[FaultInstance[FaultSpec]]:
+        """Return the faults that act in ``tick``."""
+        return [one for one in self._faults.values() if one.active_at(tick)]
 
     def resend_faults(self, cells: Sequence[int], tick: int) -> None:
         """Send all live faults and repairs so far to cells that rejoin at ``tick``."""
@@ -190,25 +176,7 @@ class ControlServer:
             end = self._faults[number].end_tick
             self._send(Control("fault", tick, names, json.dumps({"number": number, "end": end})))
 
-    # --- requests ----------------------------------------------------------------------------------
-
-    def _handle(self, request: Request, tick: int) -> dict[str, Any]:
-        time = {"tick": tick, "time_s": tick * self._scene.tick_ns * 1e-9}
-        match request:
-            case InjectRequest():
-                one = self._new(request, tick)
-                self._inject(one)
-                cells = [list(self._lattice.cells[int(i)]) for i in one.cells[:64]]
-                return {"ok": True, **time, "number": one.number, "cells": cells, "affected": len(one.cells)}
-            case RepairRequest():
-                self._repair(request.number, tick)
-                return {"ok": True, **time, "number": request.number}
-            case ListRequest():
-                return {
-                    "ok": True,
-                    **time,
-                    "faults": [self._listed(one, tick) for one in self._faults.values()],
-                }
+    # --- faults and repairs ------------------------------------------------------------------------
 
     def _new(self, request: InjectRequest, tick: int) -> FaultInstance[FaultSpec]:
         fault = cast("FaultSpec", request.fault)
@@ -267,9 +235,8 @@ class ControlServer:
             "state": state,
         }
 
-    # --- faults and repairs ------------------------------------------------------------------------
-
-    def _inject(self, one: FaultInstance[FaultSpec]) -> None:
+    def inject(self, one: FaultInstance[FaultSpec]) -> None:
+        """Inject a fault from its first tick on."""
         self._faults[one.number] = one
         if isinstance(one.fault, CellFault):
             self._send(Control("fault", one.start_tick, (), json.dumps(one.record())))
@@ -285,7 +252,12 @@ class ControlServer:
             }
         )
 
-    def _repair(self, number: int, tick: int) -> None:
+    def repair(self, number: int, tick: int) -> None:
+        """Repair an active fault at ``tick``.
+
+        Raises:
+            RequestError: There is no such fault, or it can't be repaired.
+        """
         one = self._faults.get(number)
         if one is None:
             known = ", ".join(map(str, sorted(self._faults))) or "none"
@@ -303,12 +275,178 @@ class ControlServer:
         time_s = tick * self._scene.tick_ns * 1e-9
         self._run_log.control({"time_s": time_s, "kind": "repair", "tick": tick, "detail": detail})
 
+
+class Process(FaultProcess, FlowProcess, Protocol):
+    """Operations of ``plant.process.PlantProcess`` that the control server uses."""
+
+    tick: int
+
+    def place_parcel(self, parcel: int, pose: Floats) -> None:
+        """Put a parcel at rest elsewhere."""
+        ...
+
+
+@final
+class ControlServer:
+    """Server of control requests, which are handled between two ticks.
+
+    Each request acts from the next tick on, is answered and recorded.
+
+    Args:
+        scene: Scene of the run.
+        run: Name of the run.
+        faults: Faults that the scene schedules.
+        send: Sends a control record to cells.
+        run_log: Log of the run, which records faults and commands.
+        process: Plant's process, which applies faults in the plant.
+        requests: Queue of incoming requests; None: no requests can be sent.
+        script: Recorded commands to repeat, each with its tick.
+        show: Requests the cells' registers once more.
+        lines: Whether serial lines are byte-accurate, so that faults can be injected into cells.
+        factor: Simulated seconds per wall second; None: as fast as possible.
+        paused: Whether the run begins paused.
+
+    Attributes:
+        faults: Faults of the run.
+        flow: Flow of the run.
+        watch: Called whenever requests are handled; see ``deploy.live.feed``.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        run: str,
+        faults: Sequence[FaultInstance[FaultSpec]],
+        send: Callable[[Control], None],
+        run_log: RunLog,
+        process: Process,
+        requests: RequestQueue | None = None,
+        script: Sequence[Record] = (),
+        *,
+        show: Callable[[], None] | None = None,
+        lines: bool = True,
+        factor: float | None = None,
+        paused: bool = False,
+    ) -> None:
+        self._scene = scene
+        self._tick_ns = scene.tick_ns
+        self._run = run
+        self._run_log = run_log
+        self._process = process
+        self._requests = requests
+        self._script = sorted(script, key=lambda record: int(record["tick"]))
+        self._show = show
+        self._awaiting: list[IncomingRequest] = []
+        """Requests for steps, answered when the run has paused again."""
+        self.faults = LiveFaults(scene, faults, send, run_log, process, lines=lines)
+        self.flow = Flow(process, run_log, scene.tick_ns, factor, paused=paused, serve=self._serve)
+        self.watch: Callable[[], None] | None = None
+
+    def before_tick(self, tick: int) -> None:
+        """Handle the replayed commands and the requests that act from ``tick`` on, which is the next tick.
+
+        Returns when the tick may begin: not while the run is paused.
+
+        Raises:
+            EndedByOperator: A request ends the run.
+        """
+        while self._script and self._script[0]["tick"] <= tick:
+            self._repeat(self._script.pop(0), tick)
+        self._serve()
+        self.flow.before_tick()
+
+    def close(self) -> None:
+        """Answer the requests that wait for a pause: the run has ended."""
+        for question in self._awaiting:
+            self._refuse(question, "the run has ended")
+        self._awaiting.clear()
+
+    # --- requests ----------------------------------------------------------------------------------
+
+    def _serve(self) -> None:
+        """Handle some of the requests that wait."""
+        if self.watch is not None:
+            self.watch()
+        if self._awaiting and self.flow.paused:
+            self._process.report()
+            for question in self._awaiting:
+                self._answer(question, self.flow.state())
+            self._awaiting.clear()
+        if self._requests is None:
+            return
+        for _ in range(_A_TICK):
+            question = self._requests.drain()
+            if question is None:
+                return
+            self._take(question)
+
+    def _take(self, question: IncomingRequest) -> None:
+        """Handle and answer a request."""
+        try:
+            request = read_request(question.payload)
+            found = self._handle(request)
+        except RequestError as error:
+            self._refuse(question, *error.problems)
+        except EndedByOperator:
+            self._answer(question, self.flow.state())
+            raise
+        else:
+            if isinstance(request, StepRequest):
+                self._awaiting.append(question)
+            else:
+                self._answer(question, found)
+
+    def _handle(self, request: Request) -> dict[str, Any]:
+        tick = self._process.tick
+        match request:
+            case InjectRequest() | RepairRequest() | ListRequest():
+                return self.faults.handle(request, tick)
+            case MoveRequest():
+                self._move(request, tick)
+            case ShowRequest():
+                if self._show is not None:
+                    self._show()
+            case _:
+                self.flow.handle(request, tick)
+        return self.flow.state()
+
+    def _answer(self, question: IncomingRequest, found: dict[str, Any]) -> None:
+        tick = self._process.tick
+        time = {"tick": tick, "time_s": tick * self._tick_ns * 1e-9}
+        answer = {"run": self._run, "ok": True, **time, **found}
+        question.answer(json.dumps(answer).encode())
+
+    def _refuse(self, question: IncomingRequest, *problems: str) -> None:
+        question.answer(json.dumps({"run": self._run, "ok": False, "problems": problems}).encode())
+
+    def _move(self, request: MoveRequest, tick: int) -> None:
+        """Put a parcel elsewhere.
+
+        Raises:
+            RequestError: The run is not paused, or the parcel can't stand there.
+        """
+        if not self.flow.paused:
+            raise RequestError("move: the run is not paused: pause it first")
+        self._place(request.parcel, (request.x_m, request.y_m, request.angle_rad), tick)
+
+    def _place(self, parcel: int, pose: tuple[float, float, float], tick: int) -> None:
+        try:
+            self._process.place_parcel(parcel, np.array(pose))
+        except PlantError as error:
+            raise RequestError(f"move: {error}") from None
+        detail = {"parcel": parcel, "pose": list(pose)}
+        time_s = tick * self._tick_ns * 1e-9
+        self._run_log.control({"time_s": time_s, "kind": "move", "tick": tick, "detail": detail})
+
     # --- replay ------------------------------------------------------------------------------------
 
     def _repeat(self, record: Record, tick: int) -> None:
         """Repeat a recorded command."""
         detail: dict[str, Any] = record["detail"]
         if record["kind"] == "repair":
-            self._repair(int(detail["number"]), tick)
+            self.faults.repair(int(detail["number"]), tick)
+        elif record["kind"] == "move":
+            x_m, y_m, angle_rad = map(float, detail["pose"])
+            self._place(int(detail["parcel"]), (x_m, y_m, angle_rad), tick)
         else:
-            self._inject(decode_command(detail, self._scene))
+            self.faults.inject(decode_command(detail, self._scene))

@@ -46,7 +46,7 @@ class RunLog:
             end have ``phase``, ``number`` and all their ``cells``.
         cells_lost: ``(row, column)`` of each dead or lost cell, in order.
         warn: As given.
-        controls: Live commands, in order: ``time_s``, ``kind``, ``tick``, ``detail``.
+        disturbed: Whether faults were injected or repaired by live commands.
     """
 
     state_fields: ClassVar[StateFields] = StateFields(
@@ -77,7 +77,7 @@ class RunLog:
         self.time_ns = 0
         self.faults: list[Mapping[str, Any]] = []
         self.cells_lost: list[tuple[int, int]] = []
-        self.controls: list[Mapping[str, Any]] = []
+        self.disturbed = False
         self._hung: set[str] = set()
         self._injected = list(injected)
         self._turns = transition_ticks(self._injected)
@@ -125,7 +125,7 @@ class RunLog:
 
     def control(self, record: Mapping[str, Any]) -> None:
         """Log a live command."""
-        self.controls.append(record)
+        self.disturbed = self.disturbed or record["kind"] in ("fault", "repair")
         self._recorder.control(record)
 
     def _on_transition(self, tick: int) -> None:

@@ -48,6 +48,7 @@ class Recorder:
 
     Attributes:
         path: The file.
+        header: As given.
 
     Raises:
         InputError: The folder or the file can't be made or written.
@@ -63,6 +64,7 @@ class Recorder:
         continued_from: Mapping[str, int] | None = None,
     ) -> None:
         self.path: Path = Path(folder) / FILE_NAME
+        self.header = header
         self._flush_s = flush_s
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)

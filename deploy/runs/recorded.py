@@ -13,7 +13,6 @@ from deploy.checkpoints.checkpointer import make_checkpointer, restore_run
 from deploy.errors import DeployError
 from deploy.recordings.losses import unreported
 from deploy.runs.backends import BusCells
-from deploy.runs.pace import Pace
 from deploy.runs.result import RunResult
 from deploy.runs.simulation import Simulation
 from deploy.util.signals import Interrupted, Interruption
@@ -61,6 +60,7 @@ class RecordedRun:
     rejections: RejectionMonitor
     interruption: Interruption
     _checkpointer: Checkpointer | None = field(default=None, init=False)
+    _control: ControlServer | None = field(default=None, init=False)
 
     def run(self, begun: float) -> RunResult:
         """Start the cells, run to the end, stop the cells.
@@ -113,6 +113,8 @@ class RecordedRun:
         result.wall_s = wall_s if resumed is None else wall_s + resumed.wall_s
         if self._checkpointer is not None:
             self._checkpointer.close()
+        if self._control is not None:
+            self._control.close()
         if result.status == "failed" or self.log.cells_lost:
             result.detail = "\n".join(text for text in (result.detail, self.system.explain()) if text)
         counters = self.system.stop(result.reason or "the run is over")
@@ -140,7 +142,6 @@ class RecordedRun:
             ),
             plant=self.plant,
             faults=setup.in_run_faults,
-            pace=None if setup.options.realtime is None else Pace(setup.options.realtime, self.log.warn),
         )
         coordinator = self.system.coordinator
         assert coordinator is not None, "this is a bug: the cells have started without a coordinator"
@@ -163,7 +164,8 @@ class RecordedRun:
             self.setup.resumed,
             self.setup.scene.stall.deadline_s,
         )
-        respawner, control = self._respawner(coordinator), self._control_server(simulation, coordinator)
+        respawner = self._respawner(coordinator)
+        control = self._control = self._control_server(simulation, coordinator)
         simulation.add_hooks(TickHooks(after_tick=(self.log.tick,)))
         if checkpointer is not None:
             simulation.add_hooks(TickHooks(before_tick=(lambda _: checkpointer.before_tick(process),)))
@@ -174,16 +176,14 @@ class RecordedRun:
                 if cells:
                     process.revive(cells)
                     self.log.on_rejoin(tick, cells)
-                    if control is not None:
-                        control.resend_faults(cells, tick)
+                    control.faults.resend_faults(cells, tick)
 
             def lost(record: TickRecord) -> None:
                 if record.losses:
                     respawner.on_lost(record.losses)
 
             simulation.add_hooks(TickHooks((readmit,), (lost,)))
-        if control is not None:
-            simulation.add_hooks(TickHooks(before_tick=(control.before_tick,)))
+        simulation.add_hooks(TickHooks(before_tick=(control.before_tick,)))
         simulation.add_hooks(TickHooks(after_tick=(self._watch(coordinator),)))
         if checkpointer is not None:
             simulation.add_hooks(TickHooks(after_tick=(lambda _: checkpointer.poll(),)))
@@ -232,22 +232,30 @@ class RecordedRun:
 
         return Respawner(self.system, coordinator, self.setup.plan.partition, times, self.log.warn)
 
-    def _control_server(self, simulation: Simulation, coordinator: Coordinator) -> ControlServer | None:
-        """Return the control server; None without incoming requests and without a replay."""
-        setup = self.setup
-        requests = self.system.questions(plant_key(setup.plan.run, "operator"))
-        if requests is None and setup.replayed is None:
-            return None
+    def _control_server(self, simulation: Simulation, coordinator: Coordinator) -> ControlServer:
+        """Return the control server, whose feed answers the run's viewers."""
         from deploy.control.server import ControlServer
 
-        return ControlServer(
+        setup, system, run = self.setup, self.system, self.setup.plan.run
+        server = ControlServer(
             setup.scene,
-            setup.plan.run,
+            run,
             setup.in_run_faults,
             coordinator.control,
             self.log,
             simulation.process,
-            requests,
+            system.questions(plant_key(run, "operator")),
             setup.script,
+            show=coordinator.show_registers,
             lines=setup.byte_accurate_links,
+            factor=setup.options.realtime,
+            paused=setup.options.paused,
         )
+        viewers = system.questions(plant_key(run, "view"))
+        if viewers is not None:
+            from deploy.live.feed import Feed
+
+            feed = Feed(viewers, simulation.process, self.plant, server, self.log, self.recorder.header)
+            simulation.add_hooks(TickHooks(after_tick=(feed.after_tick,)))
+            server.watch = feed.serve
+        return server

@@ -49,6 +49,7 @@ class RunResult:
         counters: Messages of all sides; complete once the cells are stopped.
         startup_s: Wall time until the first tick, s.
         wall_s: Wall time of the run itself, s.
+        reset: Whether an operator ended the run to begin it again.
     """
 
     status: str = "ok"
@@ -66,6 +67,7 @@ class RunResult:
     counters: MessageCounters = field(default_factory=MessageCounters)
     startup_s: float = 0.0
     wall_s: float = 0.0
+    reset: bool = False
 
     @classmethod
     def of(cls, plant: Plant) -> Self:
@@ -128,7 +130,9 @@ class RunResult:
             time_ns: Simulated time reached, ns.
         """
         if isinstance(error, (Interrupted, PlantStopped)):
-            self.end("interrupted", f"interrupted at {time_ns * 1e-9:g} s of simulated time")
+            self.reset = getattr(error, "reset", False)
+            said = str(error) if isinstance(error, Interrupted) else ""
+            self.end("interrupted", f"{said or 'interrupted'} at {time_ns * 1e-9:g} s of simulated time")
         elif isinstance(error, PlantError):
             self.end(status_of(error), f"{error} (tick {tick})")
         else:

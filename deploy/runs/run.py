@@ -5,7 +5,9 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
@@ -52,7 +54,7 @@ def run(
     resumed: Checkpoint | None = None,
     lock: OutputLock | None = None,
 ) -> Outcome:
-    """Run the whole system once.
+    """Run the whole system once, and again after each reset by an operator.
 
     Once the cells are started, the outcome's status and reason say how the run ended. On return, every started
     process has ended, and the recording is complete up to the end of the run.
@@ -70,13 +72,26 @@ def run(
             is writing; nothing was started.
         Interrupted: SIGINT or SIGTERM came before the run had a recording.
     """
-    begun = time.monotonic()
     interruption = interruption or Interruption()
+    options = options or RunOptions()
     with interruption.handling():
-        with interruption.interruptible():
-            setup = prepare_run(scene, options or RunOptions(), resumed)
-        with ExitStack() as locked:
-            return _Run(setup, interruption, begun, lock, locked, quiet=quiet).go()
+        while True:
+            begun = time.monotonic()
+            with interruption.interruptible():
+                setup = prepare_run(scene, options, resumed)
+            with ExitStack() as locked:
+                one = _Run(setup, interruption, begun, lock, locked, quiet=quiet)
+                outcome = one.go()
+            if not one.result.reset:
+                return outcome
+            options, resumed, lock = replace(options, output=_beside(options.output)), None, None
+
+
+def _beside(folder: Path | None) -> Path | None:
+    """Return a folder for the run after a reset: ``FOLDER-2``, or the next number that is free."""
+    if folder is None:
+        return None
+    return next(path for i in count(2) if not (path := folder.with_name(f"{folder.name}-{i}")).exists())
 
 
 @final

@@ -170,7 +170,7 @@ class RunSetup:
         in_run_faults: Faults of the scene that begin and end during the run.
         byte_accurate_links: Simulate serial lines byte by byte instead of message by message. Results are the same
             while nothing disturbs the lines; only byte-accurate lines accept faults injected at run time. Set by
-            ``--realtime`` and ``--replay``; a resumed run takes the checkpoint's value.
+            ``--realtime``, ``--paused`` and ``--replay``; a resumed run takes the checkpoint's value.
         warnings: Warnings to report before the start.
         reporter: Reporter of the protocol; None without a protocol report.
         replayed: Recording to repeat; None without one.
@@ -201,7 +201,7 @@ def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -
         InputError: Bad input.
     """
     planned = plan(scene, options, run_name(scene, secrets.token_hex(4)))
-    live = options.realtime is not None or options.replay is not None
+    live = options.realtime is not None or options.paused or options.replay is not None
     warnings = warnings_of(scene)
     if options.registers is not None:
         warnings += register_warnings(scene)

@@ -43,7 +43,10 @@ class Role:
 
 
 OPERATORS: Final = Role(
-    OPERATOR, hears=("mdms/**",), watches=("mdms/**",), asks=(plant_key(_ANY, "operator"),)
+    OPERATOR,
+    hears=("mdms/**",),
+    watches=("mdms/**",),
+    asks=(plant_key(_ANY, "operator"), plant_key(_ANY, "view")),
 )
 """Role that listens to a run from outside and sends requests."""
 

@@ -16,9 +16,8 @@ from plant import stop
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
-@final
 class Interrupted(BaseException):
-    """Stop request by SIGINT or SIGTERM.
+    """Stop request by SIGINT or SIGTERM, or by an operator.
 
     Not an Exception: nothing but the run itself may catch it.
     """

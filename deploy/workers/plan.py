@@ -188,6 +188,7 @@ class RunOptions:
         join: Endpoint for processes of cells; None: a socket in a folder of this user's alone, or with keys a free
             loopback port.
         realtime: Simulated seconds per wall second; None: as fast as possible.
+        paused: Whether the run begins paused, until ``mdms control`` or a viewer lets it go on.
         output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
         registers: Period at which the cells' registers are recorded, ticks; None: never.
@@ -205,6 +206,7 @@ class RunOptions:
     listen: str | None = None
     join: str | None = None
     realtime: float | None = None
+    paused: bool = False
     output: Path | None = None
     picture: bool = True
     registers: int | None = None
@@ -349,6 +351,8 @@ def _check(options: RunOptions, scene: Scene, workers: int) -> None:
         raise InputError("--respawn: doesn't go with effects.clock: a restarted cell has lost its instants")
     if options.realtime is not None and not 0 < options.realtime < float("inf"):
         raise InputError(f"--realtime {options.realtime:g}: must be greater than 0")
+    if options.paused and options.transport == "memory":
+        raise InputError("--paused: the memory transport has no endpoint from which a run is resumed")
     if options.checkpoint_s is not None and not 0 < options.checkpoint_s < float("inf"):
         raise InputError(f"--checkpoint {options.checkpoint_s:g}: must be greater than 0")
     if options.checkpoint_s is not None and options.replay is not None:

@@ -15,7 +15,6 @@ from tests.bus.support import (
     FakeClock,
     Network,
     System,
-    drain,
     grid,
     step,
 )
@@ -52,15 +51,3 @@ def test_wake_ends_a_gather_on_either_side_and_it_may_be_repeated(network: Netwo
             gather(0)
         waker.join()
     assert step(system, 0)[1] == []
-
-
-def test_the_state_is_put_only_while_somebody_listens(memory: Network) -> None:
-    clock = FakeClock()
-    system = System(memory, Partition.each(grid(1, 1)), "packed", clock=clock)
-    system.host.publish_state(b"1")
-    listener = memory.endpoint()
-    listener.subscribe("mdms/test/plant/state")
-    system.host.publish_state(b"2")
-    clock.now += 1.0
-    system.host.publish_state(b"3")
-    assert [event[1] for event in drain(listener, lambda events: len(events) == 1)] == [b"3"]

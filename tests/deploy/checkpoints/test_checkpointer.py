@@ -22,7 +22,7 @@ class Books:
     """Of a run: what the checkpointer needs of coordinator, run log and recorder."""
 
     def __init__(self) -> None:
-        self.digest, self.controls, self.requested = Digest(b""), list[Any](), list[int]()
+        self.digest, self.disturbed, self.requested = Digest(b""), False, list[int]()
         self.keeping: SnapshotCollector | None = None
         self.disk, self.secured = threading.Event(), list[int]()
         self.disk.set()
@@ -132,7 +132,7 @@ def test_a_disk_that_is_full_costs_the_checkpoint_and_not_the_run(
 def test_what_was_done_to_a_run_by_hand_ends_its_checkpoints(tmp_path: Path) -> None:
     run = Scenery(tmp_path)
     run.tick(10.0)
-    run.books.controls.append({})
+    run.books.disturbed = True
     for now in (10.1, 50.0, 90.0):
         run.tick(now)
     assert len(run.warned) == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -34,10 +35,17 @@ class Live:
         self.payloads: deque[bytes | None] = deque()
         self.answers: list[dict[str, Any]] = []
         self.records: list[Any] = []
+        self.said: list[str] = []
         self.log: list[Any] = []
-        process = SimpleNamespace(
+        self.process = SimpleNamespace(
             inject=lambda one: self.log.append(("process", one.number)),
             replan=lambda: self.log.append("process plans"),
+            place_parcel=lambda parcel, pose: self.log.append(("placed", parcel, pose.tolist())),
+            report=lambda: None,
+            idle=nullcontext,
+            pace=None,
+            tick=0,
+            time_ns=0,
         )
         self.server = ControlServer(
             scene,
@@ -45,7 +53,7 @@ class Live:
             scheduled,
             self.sent.append,
             cast("Any", self),
-            cast("Any", process),
+            cast("Any", self.process),
             cast("Any", self),
             script,
             **options,
@@ -58,6 +66,10 @@ class Live:
     def replan(self) -> None:
         """Of the run log."""
         self.log.append("run log plans")
+
+    def warn(self, line: str) -> None:
+        """Of the run log."""
+        self.said.append(line)
 
     def control(self, record: Any) -> None:
         """Of the run log."""
@@ -72,9 +84,19 @@ class Live:
         )
 
     def ask(self, tick: int, **request: Any) -> dict[str, Any]:
-        self.payloads.append(json.dumps(request).encode())
-        self.server.before_tick(tick)
+        self.send(request)
+        self.begin(tick)
         return self.answers[-1]
+
+    def send(self, request: Any) -> None:
+        self.payloads.append(json.dumps(request).encode())
+
+    def begin(self, tick: int) -> None:
+        """Begin a tick, as the plant's process does."""
+        self.process.tick, self.process.time_ns = tick, round(tick * TICK_S * 1e9)
+        if self.process.pace is not None:
+            self.process.pace(self.process.time_ns)
+        self.server.before_tick(tick)
 
     def details(self) -> list[Any]:
         return [(control.tick, control.cells, json.loads(control.detail)) for control in self.sent]
@@ -228,7 +250,7 @@ def test_rejoined_cells_receive_their_own_faults_and_no_others() -> None:
     live.ask(10, op="inject", fault=STUCK)
     live.ask(12, op="repair", number=0)
     live.sent.clear()
-    live.server.resend_faults([0, 2], 20)
+    live.server.faults.resend_faults([0, 2], 20)
     names = (SCENE.lattice().cells[0], SCENE.lattice().cells[2])
     assert live.details() == [
         (20, names, {"number": 1, "fault": HANG, "first": 10, "end": None}),
@@ -254,7 +276,7 @@ def test_what_was_done_to_a_recorded_run_is_done_again_at_its_ticks() -> None:
 def test_where_nobody_can_ask_what_was_recorded_is_done_all_the_same() -> None:
     sent: list[Control] = []
     record = {"kind": "fault", "tick": 3, "detail": {"number": 7, "fault": HANG, "first": 3, "end": None}}
-    books = SimpleNamespace(inject=lambda _: None, control=lambda _: None)
+    books = SimpleNamespace(inject=lambda _: None, control=lambda _: None, time_ns=0, pace=None, tick=0)
     server = ControlServer(
         SCENE, "one", (), sent.append, cast("Any", books), cast("Any", books), script=[record]
     )

@@ -85,7 +85,7 @@ def test_listeners_have_every_kind_of_message_and_the_tokens_and_nothing_is_copi
     with opened(motors) as (access, hub), plain_client(access.locator) as listener:
         cells = open_client(access.join)
         kinds = ("sense", "drive", "to/1", "report", "registers", "snapshot")
-        keys = ["plant/control", "plant/state", *(f"shard/0/{leaf}" for leaf in kinds)]
+        keys = ["plant/control", *(f"shard/0/{leaf}" for leaf in kinds)]
         publishers = {
             key: (hub if key.startswith("plant") or key.endswith("sense") else cells).publisher(
                 f"mdms/test/{key}"

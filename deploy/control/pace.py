@@ -24,6 +24,10 @@ class Pace:
         warn: Takes one line.
         clock: Monotonic wall time, s.
         sleep: Waits so many seconds.
+
+    Attributes:
+        factor: As given.
+        lag_s: Lag behind the clock before the last tick, wall seconds; 0 in step with it.
     """
 
     def __init__(
@@ -34,7 +38,8 @@ class Pace:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._factor = factor
+        self.factor = factor
+        self.lag_s = 0.0
         self._warn = warn
         self._clock = clock
         self._sleep = sleep
@@ -47,14 +52,19 @@ class Pace:
         start_s, now = start_ns * 1e-9, self._clock()
         if self._begun is None:
             self._begun, self._from_s = now, start_s
-        lag_s = now - self._begun - (start_s - self._from_s) / self._factor
+        lag_s = now - self._begun - (start_s - self._from_s) / self.factor
+        self.lag_s = max(lag_s, 0.0)
         if lag_s < 0:
             self._sleep(-lag_s)
         if lag_s >= self._next_lag_s:
             self._report(start_s, lag_s, now - self._begun)
         elif lag_s <= _CAUGHT_UP_S and self._next_lag_s > _LAG_S:
-            self._warn(f"--realtime {self._factor:g}: in step with the clock again at {start_s:.3f} s")
+            self._warn(f"--realtime {self.factor:g}: in step with the clock again at {start_s:.3f} s")
             self._next_lag_s = _LAG_S
+
+    def restart(self) -> None:
+        """Keep step with the clock from the next tick on, whatever the lag was."""
+        self._begun, self._next_lag_s, self.lag_s = None, _LAG_S, 0.0
 
     def _report(self, start_s: float, lag_s: float, wall_s: float) -> None:
         """Report the lag, and the pace of the run so far."""
@@ -62,6 +72,6 @@ class Pace:
             self._next_lag_s *= 2
         rate = (start_s - self._from_s) / wall_s
         self._warn(
-            f"--realtime {self._factor:g}: can't keep up: {lag_s:.1f} s behind the clock at {start_s:.3f} s "
+            f"--realtime {self.factor:g}: can't keep up: {lag_s:.1f} s behind the clock at {start_s:.3f} s "
             f"({rate:.2g} × real time so far)"
         )

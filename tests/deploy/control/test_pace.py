@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.runs.pace import Pace
+from deploy.control.pace import Pace
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
@@ -63,7 +63,7 @@ def test_a_run_that_has_caught_up_says_so_once() -> None:
 def test_a_run_reports_its_lag_while_it_continues(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("deploy.runs.pace._LAG_S", 1e-3)
+    monkeypatch.setattr("deploy.control.pace._LAG_S", 1e-3)
     scene = load_scene("motors", [Override.parse("duration_s=0.2")])
     run(scene, RunOptions(0, "memory", output=tmp_path, picture=False, realtime=1e6))
     assert "mdms: --realtime 1e+06: can't keep up: 0.0 s behind the clock at " in capsys.readouterr().err

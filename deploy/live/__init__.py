@@ -1,0 +1,1 @@
+"""Running simulations seen and controlled from outside: frames for viewers, and the client."""
