@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext
@@ -45,6 +46,10 @@ Inject = Callable[[Control], None]
 
 Hopeless = Callable[[tuple[int, int], str, str], None]
 """Called with the cell, the problem and the stack of a program that does not return and could not be interrupted."""
+
+
+Held = Callable[[tuple[int, int]], None]
+"""Called with the cell whose program a debugger holds, again and again."""
 
 
 def injector(shard: Shard, site: ShardContext, lattice: Lattice) -> Inject:
@@ -91,9 +96,9 @@ class Watch(Protocol):
         ...
 
 
-Watched = Callable[[Callable[[], None], Hopeless], Watch]
-"""Makes the watch of an agent. The watch calls the first now and then while a step takes long, and the second where it
-can't bring a program to an end. Both calls come from another thread."""
+Watched = Callable[[Callable[[], None], Hopeless, Held], Watch]
+"""Makes the watch of an agent. The watch calls the first now and then while a step takes long, the second where it
+can't bring a program to an end, and the third while a debugger holds a program. The calls come from another thread."""
 
 
 async def run(
@@ -132,7 +137,7 @@ async def run(
             f"the event loop of an agent is a {type(loop).__name__}: must be a TransportEventLoop"
         )
     agent = _Agent(shard, member, inject, records)
-    watch = None if watched is None else watched(agent.busy, agent.abandon)
+    watch = None if watched is None else watched(agent.busy, agent.abandon, agent.hold)
     with nullcontext() if watch is None else closing(watch):
         return await agent.run(loop, first, watch)
 
@@ -141,7 +146,7 @@ async def run(
 class _Agent:
     """Agent of a shard: awaits the inputs of a tick, steps the shard, and publishes the outputs.
 
-    ``busy`` and ``abandon`` are called by the watch's thread while the event loop's thread is in a step. The
+    ``busy``, ``hold`` and ``abandon`` are called by the watch's thread while the event loop's thread is in a step. The
     participant is thus used by one thread at a time.
     """
 
@@ -155,6 +160,7 @@ class _Agent:
         self._failures: list[FirmwareFailed] = []
         self._reported: set[str] = set()
         self._awaited = 0
+        self._held_tick = -1
         self._inputs: TickInputs | Control | bytes | None = None
         self._codec: Final = shard.payload_codec(member.layouts)
 
@@ -271,6 +277,17 @@ class _Agent:
     def busy(self) -> None:
         """Report that the step still runs."""
         self._member.busy(self._shard.tick)
+
+    def hold(self, cell: tuple[int, int]) -> None:
+        """Report that a debugger holds the program of a cell, which suspends the deadlines; say so once a tick."""
+        tick = self._shard.tick
+        self._member.hold(cell, tick)
+        if tick != self._held_tick:
+            self._held_tick = tick
+            sys.stderr.write(
+                f"mdms: cell {cell[0]},{cell[1]} is held in a debugger at tick {tick:,}: deadlines are suspended\n"
+            )
+            sys.stderr.flush()
 
     def abandon(self, cell: tuple[int, int], problem: str, trace: str) -> None:
         """Fail a cell whose program does not return; the thread that steps stays in it."""

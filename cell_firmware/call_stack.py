@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from dataclasses import dataclass
 from types import FrameType
-from typing import Any, final
+from typing import Any, Final, final
 
 from cell_firmware.board import Board
 from cell_firmware.cell import PerCellAdapter
@@ -30,6 +30,23 @@ class UnderWay:
     def same(self, other: UnderWay | None) -> bool:
         """Whether the other call is for the same cells."""
         return other is not None and (self.cell, self.cells) == (other.cell, other.cells)
+
+
+_DEBUGGERS: Final = frozenset(("bdb", "debugpy", "ipdb", "pdb", "pudb", "pydevd", "_pydevd_bundle", "rpdb"))
+"""Packages of debuggers that hold a thread in Python code of their own."""
+
+
+def in_debugger(frame: FrameType | None) -> bool:
+    """Whether a debugger holds a thread.
+
+    Args:
+        frame: The innermost frame of the thread.
+    """
+    while frame is not None:
+        if str(frame.f_globals.get("__name__", "")).partition(".")[0] in _DEBUGGERS:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def under_way(frame: FrameType | None) -> UnderWay | None:

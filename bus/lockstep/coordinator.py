@@ -233,6 +233,7 @@ class Coordinator:
         """Wait until every expected drive for ``tick`` has arrived or its cell has been dropped.
 
         A cell is dropped after ``stall.deadline_s``; a shard that keeps reporting ``busy`` gets ten times as long.
+        No deadline runs while a debugger holds a cell.
 
         Args:
             tick: Must go up from call to call.
@@ -257,6 +258,10 @@ class Coordinator:
                 break
             if not read(max(deadline - clock(), 0.0), slot.missing) and clock() >= deadline:
                 self._drives.settle()
+                if self._reported.drain_held(tick):
+                    deadline = clock() + self._stall.deadline_s
+                    latest = deadline + _PATIENCE * self._stall.deadline_s
+                    continue
                 self._membership.drop_timed_out(
                     tick, self._reported.drain_busy(tick) if clock() < latest else ()
                 )

@@ -432,6 +432,10 @@ class Participant:
         """Report to the plant that the shard still computes ``tick``, which extends the deadline. From any thread."""
         self._reports.busy(tick)
 
+    def hold(self, cell: tuple[int, int], tick: int) -> None:
+        """Report to the plant that a debugger holds ``cell`` in ``tick``: deadlines are suspended. From any thread."""
+        self._reports.held(cell, tick)
+
     def close(self) -> None:
         """Report the counters, wait until the plant that stopped the run is gone, and withdraw the tokens."""
         self._reports.publish_counters(self._tick)

@@ -48,6 +48,10 @@ class ReportPublisher:
         """Report that the shard still computes ``tick``; not counted, as it depends on the wall clock."""
         self.publisher.put(encode_report(Report("busy", tick)))
 
+    def held(self, cell: Cell, tick: int) -> None:
+        """Report that a debugger holds ``cell`` in ``tick``; not counted, as it depends on the wall clock."""
+        self.publisher.put(encode_report(Report("held", tick, (cell,))))
+
     def _put(self, report: Report) -> None:
         self.publisher.put(encode_report(report))
         self._counts.sent += 1
@@ -89,6 +93,7 @@ class ReportReceiver:
         self.failed: dict[Cell, Report] = {}
         self.counters: dict[int, MessageCounters] = {}
         self._busy: dict[int, int] = {}
+        self._held: set[int] = set()
 
     def handle(self, shard: int, payload: bytes) -> None:
         """Handle a report of a shard.
@@ -101,6 +106,8 @@ class ReportReceiver:
             self.counters[shard] = MessageCounters.from_report(report.counts, report.counters)
         elif report.kind == "busy":
             self._busy[shard] = report.tick
+        elif report.kind == "held":
+            self._held.add(report.tick)
         elif report.kind == "rejoin_ready":
             cells = [self._lattice.index(cell) for cell in report.cells if cell in self._lattice]
             self._linked(shard, cells)
@@ -131,6 +138,11 @@ class ReportReceiver:
         """Return shards that reported, since the last call, to be still computing ``tick``."""
         busy, self._busy = self._busy, {}
         return {shard for shard, at in busy.items() if at == tick}
+
+    def drain_held(self, tick: int) -> bool:
+        """Return whether a shard reported, since the last call, that a debugger holds one of its cells in ``tick``."""
+        held, self._held = self._held, set()
+        return tick in held
 
     def drain_hung(self) -> list[Report]:
         """Return reports of programs that hung since the last call; the cells of these programs stay live."""

@@ -71,10 +71,10 @@ class Report:
     """Report of a shard to the plant.
 
     Kinds: cells ``failed``; a program is ``hung``; rejoining cells can be sent to (``rejoin_ready``); the shard
-    is still ``busy`` with ``tick``; final ``counters``.
+    is still ``busy`` with ``tick``; a debugger has ``held`` a cell in ``tick``; final ``counters``.
     """
 
-    kind: Literal["failed", "hung", "rejoin_ready", "busy", "counters"]
+    kind: Literal["failed", "hung", "rejoin_ready", "busy", "held", "counters"]
     tick: int
     cells: tuple[tuple[int, int], ...] = ()
     detail: str = ""
@@ -152,7 +152,7 @@ def encode_control(control: Control) -> bytes:
 
 
 _CONTROLS: Final = ("start", "snapshot", "show", "lost", "rejoin_prepare", "rejoin_commit", "fault", "stop")
-_REPORTS: Final = ("failed", "hung", "rejoin_ready", "busy", "counters")
+_REPORTS: Final = ("failed", "hung", "rejoin_ready", "busy", "held", "counters")
 _CONTROL: Final = layout("kind", "cells", "detail")
 _REPORT: Final = layout("kind", "cells", "detail", "counts", "counters")
 

@@ -10,11 +10,11 @@ import ctypes
 import sys
 import threading
 from collections.abc import Callable
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Final, Self, final
 
-from cell_firmware.agent import Hopeless
-from cell_firmware.call_stack import UnderWay, under_way
+from cell_firmware.agent import Held, Hopeless
+from cell_firmware.call_stack import UnderWay, in_debugger, under_way
 from cell_firmware.errors import NeverReturned
 
 _LOOKS: Final = 20
@@ -42,6 +42,8 @@ class Watchdog:
         rule: Setting that the limit comes from, for the message.
         busy: Called from the watching thread when a quarter of the limit is over, and again while the call runs.
         hopeless: Called from the watching thread, once a call, where the program could not be interrupted.
+        held: Called from the watching thread with the cell while a debugger holds its program, which does not count
+            as running then.
     """
 
     def __init__(
@@ -50,6 +52,7 @@ class Watchdog:
         rule: str,
         busy: Callable[[], None] | None = None,
         hopeless: Hopeless | None = None,
+        held: Held | None = None,
     ) -> None:
         problem = f"the step had not returned after {limit_s:g} s ({rule})"
         self._error = type("NeverReturned", (NeverReturned,), {"problem": problem, "__module__": "builtins"})
@@ -57,6 +60,7 @@ class Watchdog:
         self._look_s = limit_s / _LOOKS
         self._busy = busy
         self._hopeless = hopeless
+        self._held = held
         self._lock = threading.Lock()
         self._over = threading.Event()
         self._calls = 0
@@ -101,6 +105,10 @@ class Watchdog:
             if self._running != call or not call:
                 call, looks, blame = self._running, 0, _Blame()
                 continue
+            if (cell := self._held_cell()) is not None:
+                if self._held is not None:
+                    self._held(cell)
+                continue
             looks += 1
             if looks >= _LOOKS and (program := self._program()) is not None:
                 same = blame.take(program)
@@ -112,8 +120,18 @@ class Watchdog:
                 self._busy()
 
     def _program(self) -> UnderWay | None:
+        return under_way(self._frame())
+
+    def _held_cell(self) -> tuple[int, int] | None:
+        """Return the cell whose program a debugger holds; None if no debugger holds the thread."""
+        if not in_debugger(frame := self._frame()):
+            return None
+        program = under_way(frame)
+        return None if program is None else program.cell
+
+    def _frame(self) -> FrameType | None:
         frames = sys._current_frames()  # noqa: SLF001 # pyright: ignore[reportPrivateUsage] - the documented way
-        return under_way(frames.get(self._target))
+        return frames.get(self._target)
 
     def _interrupt(self, call: int) -> None:
         with self._lock:

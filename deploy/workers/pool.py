@@ -24,6 +24,7 @@ from types import TracebackType
 from typing import Any, Self, final
 
 from deploy.errors import DeployError
+from deploy.workers.debugger import terminal_variable
 from deploy.workers.forkserver import Prepare
 
 _NURSERY = (
@@ -91,7 +92,11 @@ class WorkerPool:
         self._channel = Connection(ours.detach())
         self._reports = reading
         os.set_blocking(reading, False)
-        environment = {**dict.fromkeys(_ONE_THREAD, "1"), **(environment or os.environ)}
+        environment = {
+            **dict.fromkeys(_ONE_THREAD, "1"),
+            **(environment or os.environ),
+            **terminal_variable(),
+        }
         arguments = [json.dumps(sys.path), str(theirs.fileno()), str(writing), json.dumps(list(preload))]
         try:
             self._nursery = subprocess.Popen(

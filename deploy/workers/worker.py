@@ -19,6 +19,7 @@ from bus.transports.base import Endpoint, LivelinessChange, Received
 from bus.wire.frames import decode_control
 from bus.wire.keys import plant_key
 from deploy.scenes.fault_schedule import Deaths, in_run_faults, of_cells, permanent_crashes
+from deploy.workers.debugger import install
 
 if TYPE_CHECKING:
     from bus.lockstep import Participant, WireFormat
@@ -152,6 +153,7 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard
     from cell_firmware import agent
     from deploy.workers.overrun import Watchdog
 
+    install()
     cells, site, records = _begun(order, shard) if built is None else built
     if order.snapshots:
         save_state(cells, records)  # a program whose memory can't be kept is told of before the run begins

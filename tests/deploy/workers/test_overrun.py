@@ -53,6 +53,14 @@ class Stubborn(Slow):
             super().wait()
 
 
+class Held(Slow):
+    """A debugger holds column 1 for as long as three deadlines, in Python code of its own."""
+
+    def wait(self) -> None:
+        held = {"__name__": "pdb", "time": time}
+        exec(f"end = time.monotonic() + {3 * LIMIT_S}\nwhile time.monotonic() < end: time.sleep(0.01)", held)
+
+
 class Asleep(Slow):
     """Waits in C, where no exception reaches it."""
 
@@ -89,6 +97,16 @@ def test_programs_that_loop_are_interrupted_named_and_the_others_stepped(program
         assert failure.problem == "NeverReturned: the step had not returned after 0.4 s (a rule)"
         assert "in wait" in failure.trace
     assert len(busy) >= 4
+    assert not overseer.given_up
+
+
+def test_a_program_that_a_debugger_holds_is_let_be_and_named() -> None:
+    told: list[str] = []
+    held: list[tuple[int, int]] = []
+    with closing(Watchdog(LIMIT_S, "a rule", lambda: told.append("busy"), held=held.append)) as overseer:
+        assert _step(_shard(Held), overseer) == ()
+    assert set(held) == {(0, 1), (0, 3)}
+    assert len(held) >= 20
     assert not overseer.given_up
 
 
