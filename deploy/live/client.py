@@ -44,6 +44,7 @@ class LiveRun:
         timeout_s: Wall time to wait for an answer, s.
 
     Attributes:
+        connect: As given.
         header: Header of the run, as of its recording.
 
     Raises:
@@ -52,7 +53,7 @@ class LiveRun:
     """
 
     def __init__(self, connect: str, keys: Path | None = None, timeout_s: float = 5.0) -> None:
-        self._connect, self._timeout_s = connect, timeout_s
+        self.connect, self._timeout_s = connect, timeout_s
         self._endpoint = operator_session(connect, timeout_s, keys)
         self._events = self._faults = 0
         self._subscribed = False
@@ -94,7 +95,7 @@ class LiveRun:
                 return frame, cast("Header", header)
             except TransportError as error:  # the run may still be starting
                 if time.monotonic() >= deadline:
-                    raise DeployError(f"{self._connect}: {error}") from None
+                    raise DeployError(f"{self.connect}: {error}") from None
                 time.sleep(0.05)
 
     def _ask_frame(self, key: str, timeout_s: float, *, header: bool = False) -> bytes:
@@ -114,7 +115,7 @@ class LiveRun:
         try:
             frame, _ = decode(self._ask_frame(self._key, self._timeout_s))
         except TransportError as error:
-            raise DeployError(f"{self._connect}: {error}") from None
+            raise DeployError(f"{self.connect}: {error}") from None
         self._events = frame.first_event + len(frame.events)
         self._faults += len(frame.faults)
         return frame
@@ -152,7 +153,7 @@ class LiveRun:
             RequestError: The run refuses the request; the message says why.
             DeployError: The run doesn't answer in time.
         """
-        return ask_at(self._endpoint, self._connect, request, timeout_s or self._timeout_s)
+        return ask_at(self._endpoint, self.connect, request, timeout_s or self._timeout_s)
 
     def status(self) -> dict[str, Any]:
         """Return the run's tick, time, state, speed, real-time factor and lag."""

@@ -38,19 +38,31 @@ and the wire format is the default of that. Runs are recorded and have their dig
 drifting clocks, encoders, PWM, integers, serial lines and watchdogs under a moving parcel. heat: wheel speeds spread
 from two held columns.
 """
+BY_KEY = """\
+A process a cell, beside an exchange with a payload per cell and link: how the values of a tick are sent where no plant
+passes messages on (wire format per_cell).
+"""
+HELICS = """\
+A process a cell, beside HELICS: a federate of its own in each of as many processes, core zmq, which computes nothing,
+publishes as many values as a cell sends, and reads them a step later; a tick is one time step of all.
+"""
 PACKED = """\
 Packed runs. The plant is this process, with workers beside it as mdms run has them. Up to 10,000 cells a run is
 recorded and has its digest; larger ones have neither. heat: wheel speeds spread from two held columns, ideal wheels,
 one parcel. 50 parcels: the parcels of large on cells with motors and speed loops, all moving.
 """
-COMMON = """\
+BARE_SIDE = """\
 The bare side is plain Zenoh code (FifoChannel, recv, put) with as many processes, which exchanges payloads of the same
-number and sizes and reads none of them. A case has a process of its own; its two sides take {turns} turns each of
+number and sizes and reads none of them.
+"""
+TURNS = """\
+A case has a process of its own; its two sides take {turns} turns each of
 {seconds} s (two ticks at least), each first in every other pair, after {warm} ticks to warm up, so that what else the
 machine does meets both alike. "ratio" is the median over pairs of turns, beside the least and the largest; rates and
 processor time a tick (schedstat, all threads; the workers' together) are medians. PSS is of all processes of the run
 after warming up.
 """
+COMMON = BARE_SIDE + TURNS
 
 
 def runs(section: str, options: argparse.Namespace) -> list[Row]:
@@ -153,6 +165,18 @@ class Section:
 
 SECTIONS = {
     "each": Section("A process a cell", partial(runs, "each"), partial(print_runs, EACH + COMMON), draw_runs),
+    "by_key": Section(
+        "A process a cell, beside a payload per link",
+        partial(runs, "by_key"),
+        partial(print_runs, BY_KEY + COMMON),
+        draw_runs,
+    ),
+    "helics": Section(
+        "A process a cell, beside HELICS",
+        partial(runs, "helics"),
+        partial(print_runs, HELICS + TURNS),
+        draw_runs,
+    ),
     "packed": Section(
         "Packed runs", partial(runs, "packed"), partial(print_runs, PACKED + COMMON), draw_runs
     ),

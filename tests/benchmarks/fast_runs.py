@@ -12,9 +12,10 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from fast_bare import BareExchange, Exchange
+from fast_helics import helics_rate
 
 from bus.partition import Partition
 from bus.wire.formats import WireFormat
@@ -47,7 +48,9 @@ class Case:
         recorded: Whether it is recorded.
         changes: Further values of the scene.
         form: Wire format.
-        must: Least ratio to the bare rate; None: it is only printed.
+        must: Least ratio to the other side's rate; None: it is only printed.
+        beside: The other side: ``bare``, a Zenoh exchange of the payloads that the run sends; ``by_key``, one of the
+            same values with a payload per cell and link; or ``helics``.
         goal: Ticks a second to reach on two quiet cores; None: none.
     """
 
@@ -61,6 +64,7 @@ class Case:
     form: WireFormat = "packed"
     must: float | None = None
     goal: float | None = None
+    beside: Literal["bare", "by_key", "helics"] = "bare"
 
     @property
     def cells(self) -> int:
@@ -101,18 +105,39 @@ def _packed() -> Iterator[Case]:
         yield Case(title, "large", 100, 100, workers, True, MOVING, "packed", None, 500.0)
 
 
-def _each() -> Iterator[Case]:
+def _heat(columns: int) -> tuple[tuple[str, Any], ...]:
+    """Values of ``heat`` with one small parcel."""
+    parcel = {"size_m": [0.2, 0.2], "mass_kg": 1.0, "position_m": [0.0, 0.0]}
+    return (("parcels", [parcel]), *_diffusion(columns, columns - 1))
+
+
+def _each(beside: Literal["bare", "by_key"]) -> Iterator[Case]:
     """Yield cases with a process a cell: the boards of the prototype, and heat on more and more cells."""
-    yield Case("prototype, 18 processes", "prototype", 0, 0, 18, True, (), "relayed", 0.5, 600.0)
+    yield Case("prototype, 18 processes", "prototype", 0, 0, 18, True, (), "relayed", 0.5, 600.0, beside)
     for rows, columns in ((3, 6), (8, 8), (8, 16), (16, 16)):
         processes = rows * columns
         title = f"heat, {processes} processes"
-        parcel = {"size_m": [0.2, 0.2], "mass_kg": 1.0, "position_m": [0.0, 0.0]}
-        changes = (("parcels", [parcel]), *_diffusion(columns, columns - 1))
-        yield Case(title, "heat", rows, columns, processes, True, changes, "relayed", 0.6)
+        yield Case(
+            title, "heat", rows, columns, processes, True, _heat(columns), "relayed", 0.6, None, beside
+        )
 
 
-CASES = {"each": tuple(_each()), "packed": tuple(_packed())}
+def _helics() -> Iterator[Case]:
+    """Yield cases beside HELICS."""
+    for processes, must in ((18, 1.4), (64, 8.0)):
+        title, changes = f"prototype, {processes} processes", ()
+        if processes > 18:
+            title, changes = f"heat, {processes} processes", _heat(8)
+        scene, rows = ("prototype", 0) if processes == 18 else ("heat", 8)
+        yield Case(title, scene, rows, rows, processes, True, changes, "relayed", must, None, "helics")
+
+
+CASES = {
+    "each": tuple(_each("bare")),
+    "by_key": tuple(_each("by_key")),
+    "packed": tuple(_packed()),
+    "helics": tuple(_helics()),
+}
 
 
 class Run:
@@ -124,9 +149,10 @@ class Run:
         self._process = self.simulation.process
         plant = self.simulation.plant
         message = load(scene.cells).message
+        self.partition = Partition.even(plant.array.lattice, case.workers)
         self.exchange = Exchange.of(
-            Partition.even(plant.array.lattice, case.workers),
-            case.form,
+            self.partition,
+            "per_cell" if case.beside == "by_key" else case.form,
             sensor_schema(scene, plant.sense()),
             message,
         )
@@ -213,6 +239,28 @@ class Turns:
         }
 
 
+def _beside_bare(run: Run, bare: Turns, stack: ExitStack) -> Callable[[float], None]:
+    """Return a turn of the bare exchange."""
+    exchange = BareExchange(run.exchange)
+    stack.callback(exchange.close)
+    for _ in range(WARM_TICKS):
+        exchange.tick()
+    return lambda seconds: bare.take(exchange.tick, exchange.pids, seconds)
+
+
+def _beside_helics(run: Run, bare: Turns) -> Callable[[float], None]:
+    """Return a turn of HELICS, whose processor time is not taken."""
+    neighbours = [[i for i in row if i >= 0] for row in run.partition.lattice.neighbours.tolist()]
+    sizes = max(run.exchange.senses), max(run.exchange.drives)
+
+    def take(seconds: float) -> None:
+        bare.rates.append(helics_rate(neighbours, *sizes, seconds))
+        bare.plant_us.append(0.0)
+        bare.workers_us.append(0.0)
+
+    return take
+
+
 def measure(case: Case, turns: int, seconds: float) -> dict[str, Any]:
     """Return the figures of a case, taken in this process."""
     real, bare = Turns([], [], []), Turns([], [], [])
@@ -222,14 +270,11 @@ def measure(case: Case, turns: int, seconds: float) -> dict[str, Any]:
         for _ in range(WARM_TICKS):
             run.tick()
         pss = sum(map(pss_mb, (os.getpid(), *cells)))
-        exchange = BareExchange(run.exchange)
-        stack.callback(exchange.close)
-        for _ in range(WARM_TICKS):
-            exchange.tick()
+        other = _beside_helics(run, bare) if case.beside == "helics" else _beside_bare(run, bare, stack)
         for turn in range(turns):
-            pair = [(real, run.tick, cells), (bare, exchange.tick, exchange.pids)]
-            for side, tick, pids in pair if turn % 2 == 0 else reversed(pair):
-                side.take(tick, pids, seconds)
+            pair = [lambda: real.take(run.tick, cells, seconds), lambda: other(seconds)]
+            for take in pair if turn % 2 == 0 else reversed(pair):
+                take()
     ratios = [ours / theirs for ours, theirs in zip(real.rates, bare.rates, strict=True)]
     return {
         "title": case.title,

@@ -57,6 +57,9 @@ SCRIPTS: dict[str, Smoke] = {
         "--repeats 1 --every 0.1 --quick", rf"18 +{N} +{N} +{N} +{N} +{N} +{N}"
     ),
     "deploy/cell_memory.py": Smoke("--scene motors --rows 3 --columns 6 --ticks 2", rf"median {N} MB"),
+    "deploy/viewer_cost.py": Smoke(
+        "--cells 100 --turns 1 --seconds 0.3", rf"stopped +ratio {N}  \({N} .. {N}\)"
+    ),
     "deploy/first_run.py": Smoke("--repeat 1", r"digests: all the same"),
     "deploy/kill_the_plant.py": Smoke("--instants 1 --duration 1", r"1 kills, .*: [0-9a-f]{64}"),
     "deploy/planted_faults.py": Smoke("--programs 2", rf"2 programs in {N} s; 0 with"),

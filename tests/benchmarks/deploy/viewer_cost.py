@@ -1,0 +1,131 @@
+"""What a viewer costs a running simulation.
+
+``python tests/benchmarks/deploy/viewer_cost.py`` measures and prints its method.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from deploy.errors import DeployError, InputError
+from deploy.live.client import LiveRun
+
+METHOD = """\
+Method. mdms run heat on {cells:,} cells, packed, recorded, as fast as possible. Turns of {seconds:g} s without a viewer
+alternate with turns beside a viewer: a process that asks for {rate:g} frames a second and discards each; or such a
+process that is stopped (SIGSTOP) for the whole turn while a request may be under way. "ratio" is the median over
+{turns} pairs of ticks/s with the viewer by ticks/s without, beside the least and the greatest. Client, run and workers
+share the cores.
+"""
+
+
+def view(connect: str, rate: float) -> None:
+    """Ask for frames and discard each, until killed."""
+    with LiveRun(connect) as run:
+        while True:
+            begun = time.monotonic()
+            run.frame()
+            time.sleep(max(1.0 / rate - (time.monotonic() - begun), 0.0))
+
+
+@contextmanager
+def viewer(connect: str, rate: float, *, stopped: bool) -> Iterator[None]:
+    """Have a viewer look inside the context."""
+    process = subprocess.Popen([sys.executable, __file__, "--view", connect, "--rate", str(rate)])
+    try:
+        time.sleep(2.0)  # it has attached
+        if stopped:
+            os.kill(process.pid, signal.SIGSTOP)
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def rate_of(run: LiveRun, seconds: float) -> float:
+    """Return the ticks a second of the run."""
+    before, begun = run.status()["tick"], time.perf_counter()
+    time.sleep(seconds)
+    after = run.status()["tick"]
+    return (after - before) / (time.perf_counter() - begun)
+
+
+@contextmanager
+def running(cells: int) -> Iterator[LiveRun]:
+    """Run the scene inside the context."""
+    side = round(cells**0.5)
+    with tempfile.TemporaryDirectory() as folder:
+        command = [
+            sys.executable, "-c", "from deploy.cli import main; main()", "run", "heat", "--duration", "1e6", "-q",
+            "--no-picture", "--output", folder, "--set", f"array.rows={side}", "--set", f"array.columns={side}",
+            "--set", f"cells.parameters.held=[{{ columns = [0, {side - 1}], speed_m_s = [0.3, 0.0] }}]",
+        ]  # fmt: skip
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        try:
+            with attached(Path(folder), process) as run:
+                yield run
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def attached(folder: Path, process: subprocess.Popen[bytes]) -> LiveRun:
+    """Attach as soon as the run answers."""
+    while process.poll() is None:
+        with suppress(InputError, DeployError):
+            return LiveRun.attach(folder)
+        time.sleep(0.1)
+    raise SystemExit("the run has ended")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cells", type=int, default=10_000, help="number of cells")
+    parser.add_argument("--turns", type=int, default=5, help="pairs of turns")
+    parser.add_argument("--seconds", type=float, default=5.0, help="length of a turn")
+    parser.add_argument("--rate", type=float, default=10.0, help="frames a second")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--view", metavar="ENDPOINT", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.view:
+        view(options.view, options.rate)
+    found: dict[str, list[float]] = {"looking": [], "stopped": []}
+    with running(options.cells) as run:
+        rate_of(run, options.seconds)
+        alone = [rate_of(run, options.seconds)]
+        for _ in range(options.turns):
+            for name, ratios in found.items():
+                with viewer(run.connect, options.rate, stopped=name == "stopped"):
+                    beside = rate_of(run, options.seconds)
+                alone.append(rate_of(run, options.seconds))
+                ratios.append(beside / statistics.mean(alone[-2:]))
+    rows = {
+        name: {"ratio": statistics.median(ratios), "least": min(ratios), "greatest": max(ratios)}
+        for name, ratios in found.items()
+    }
+    if options.json:
+        print(json.dumps({"alone_ticks_per_s": statistics.median(alone), **rows}))
+        return
+    print(METHOD.format(cells=options.cells, seconds=options.seconds, rate=options.rate, turns=options.turns))
+    print(f"without a viewer: {statistics.median(alone):,.0f} ticks/s")
+    for name, row in rows.items():
+        print(
+            f"{name:10} ratio {row['ratio']:.3f}  ({row['least']:.3f} .. {row['greatest']:.3f})  must be >= 0.95"
+        )
+
+
+if __name__ == "__main__":
+    main()
