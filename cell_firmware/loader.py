@@ -23,6 +23,7 @@ from cell_firmware.errors import FirmwareError, ParametersError, Problem
 from cell_firmware.firmware import Firmware
 from cell_firmware.firmware_files import import_file
 from cell_firmware.hooks import guard, refusals
+from cell_firmware.scalar_program import ScalarProgram
 from cell_firmware.specs import CellsSpec
 
 
@@ -165,7 +166,7 @@ def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
 
     Raises:
         ParametersError: The firmware refuses its parameters; all problems at once.
-        FirmwareError: There is no such firmware, or its file can't be loaded.
+        FirmwareError: There is no such firmware, its file can't be loaded, or its step can't be compiled.
     """
     found = find(spec.firmware, folder)
     with refusals(spec.firmware, "Parameters"):
@@ -176,6 +177,8 @@ def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
     with refusals(spec.firmware, "__init__()"):
         firmware = found(parameters)
     program = PerCellAdapter(firmware) if isinstance(firmware, CellFirmware) else firmware
+    if isinstance(program, ScalarProgram) and program.is_compiled():
+        program.scalar_kernels()  # before anything starts: a step that can't be compiled is bad input
     guard(program, spec.firmware)
     return program
 

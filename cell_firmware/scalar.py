@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, ClassVar, Protocol, cast
@@ -40,15 +39,29 @@ class ScalarFirmware(Firmware):
     form: ClassVar[str] = "compiled"
     refuses_misfits: ClassVar[bool] = True  # messages are written into fields of the wire type
 
-    @abstractmethod
     def constants(self) -> Mapping[str, Any]:
-        """Return the values of the fields of ``PARAMETERS``."""
+        """Return the values of the record of constants, by field; none: they are zero."""
+        return {}
+
+    def is_compiled(self) -> bool:
+        """Whether steps are compiled, not run as Python."""
+        return True
+
+    def scalar_kernels(self) -> ScalarKernels:
+        """Return the program's kernels; compiles, or loads them from disk."""
+        return cast(ScalarKernels, import_module(self.kernels))
+
+    def run_rows(
+        self, constants: NDArray[Any], records: NDArray[Any], given: NDArray[Any], done: NDArray[Any]
+    ) -> None:
+        """Step cells, row by row; see ``cell_firmware.kernels.shard.run_rows``."""
+        self.scalar_kernels().rows(constants, records, given, done)
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """One control period of every cell, for boards and faults that are stepped on arrays."""
         from cell_firmware.kernels.program import inputs_type, outputs_type
 
-        module = kernels_of(self)
+        module = self.scalar_kernels()
         n = len(inputs.presence)
         records, after = state_records(module.STATE, state, n)
         given = np.zeros(n, dtype=inputs_type(module.MESSAGE))
@@ -62,16 +75,11 @@ class ScalarFirmware(Firmware):
             given["received"], given["message"] = inputs.inbox.received, inputs.inbox.message
         done = np.zeros(n, dtype=outputs_type(module.MESSAGE))
         done["served"] = 1
-        module.rows(parameters_record(module.PARAMETERS, self.constants()), records, given, done)
+        self.run_rows(parameters_record(module.PARAMETERS, self.constants()), records, given, done)
         outbox = None
         if self.message is not None:
             outbox = Outbox(done["sent"].astype(np.bool_), np.ascontiguousarray(done["message"]))
         return after, Outputs(done["speed_m_s"].copy(), outbox, served=done["served"].astype(np.bool_))
-
-
-def kernels_of(firmware: Firmware) -> ScalarKernels:
-    """Return the module of kernels of a program in scalar form, which compiles or loads them."""
-    return cast(ScalarKernels, import_module(firmware.kernels))
 
 
 def parameters_record(kind: np.dtype[Any], constants: Mapping[str, Any]) -> NDArray[Any]:

@@ -19,7 +19,7 @@ from cell_firmware.firmware import Bools, Floats, Messages, State
 from cell_firmware.kernels import shard as kernels
 from cell_firmware.kernels.arguments import readable
 from cell_firmware.kernels.program import inputs_type, outputs_type
-from cell_firmware.scalar import ScalarFirmware, kernels_of, parameters_record, state_records
+from cell_firmware.scalar import ScalarFirmware, parameters_record, state_records
 from cell_firmware.shard_links import Indices, ShardLinks
 
 Outboxes = tuple[Bools, Messages]
@@ -115,6 +115,8 @@ def shard_kernel(
     debouncing = [one for one in filters if isinstance(one, Debounce)]
     if not isinstance(controller.firmware, ScalarFirmware) or len(debouncing) < len(filters):
         return None
+    if not controller.firmware.is_compiled():
+        return None
     if len(debouncing) > 1:
         return None
     debounce = debouncing[0] if debouncing else None
@@ -149,7 +151,8 @@ class ShardKernel:
         sensors: int,
         period_ns: int,
     ) -> None:
-        module = self._module = kernels_of(firmware)
+        module = self._module = firmware.scalar_kernels()
+        self._compared_ticks = getattr(module, "compared_ticks", 0)
         self.hangs = controller.hangs
         self._controller = controller
         self._links = links
@@ -258,8 +261,10 @@ class ShardKernel:
 
         Returns:
             Failures by row of the cell among the live ones; None if nothing was done, since a watchdog resets a cell in
-            this tick.
+            this tick, or the program's two forms are compared.
         """
+        if tick < self._compared_ticks:
+            return None
         failures, bounces = self._module.tick(tick, self._shard)
         if failures == kernels.RESETS:
             return None

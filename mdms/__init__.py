@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cell_firmware.errors import FirmwareError, ParametersError, Problem
     from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, Outbox, Outputs, State
     from cell_firmware.program import NoParameters, Program, Theory
+    from cell_firmware.scalar_program import ScalarProgram, scalar_function
     from deploy.errors import DeployError, InputError
     from deploy.live.client import LiveRun
     from deploy.live.frame import RunFrame
@@ -77,6 +78,7 @@ __all__ = [
     "Recording",
     "RunFrame",
     "RunResult",
+    "ScalarProgram",
     "Scene",
     "SceneError",
     "Simulation",
@@ -89,6 +91,7 @@ __all__ = [
     "Workers",
     "load_recording",
     "load_scene",
+    "scalar_function",
     "scene_names",
 ]
 
@@ -99,6 +102,7 @@ _MODULES: Final = {
     "cell_firmware.cell": ("Cell", "CellFirmware", "CellInputs", "CellOutputs"),
     "cell_firmware.errors": ("FirmwareError", "ParametersError", "Problem"),
     "cell_firmware.firmware": ("Cells", "Firmware", "Inbox", "Inputs", "Outbox", "Outputs", "State"),
+    "cell_firmware.scalar_program": ("ScalarProgram", "scalar_function"),
     "cell_firmware.program": ("NoParameters", "Program", "Theory"),
     "deploy.errors": ("DeployError", "InputError"),
     "deploy.live.client": ("LiveRun",),

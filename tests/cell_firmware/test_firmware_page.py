@@ -14,12 +14,12 @@ from cell_firmware.loader import load
 from cell_firmware.specs import CellsSpec
 
 PAGE = (Path(__file__).parents[2] / "docs" / "firmware.md").read_text(encoding="utf-8")
-PLAIN, ARRAYS, TRIAL = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+PLAIN, ARRAYS, SCALAR, TRIAL = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for code in (PLAIN, ARRAYS):
+    for code in (PLAIN, ARRAYS, SCALAR):
         name = code.splitlines()[0].removeprefix("# ")
         (tmp_path / name).write_text(code, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
@@ -34,9 +34,23 @@ def test_the_trial_prints_what_the_page_says(folder: Path, capsys: pytest.Captur
     assert capsys.readouterr().out.splitlines() == said
 
 
-def test_the_plain_and_the_array_conveyor_are_the_same_program_to_the_last_bit(
-    folder: Path, grid: Callable[..., Lattice], run: Callable[..., Any]
+@pytest.mark.parametrize(
+    ("name", "in_python"),
+    [
+        ("fast_conveyor.py", ""),
+        ("scalar_conveyor.py", "1"),
+        pytest.param("scalar_conveyor.py", "", marks=pytest.mark.slow),
+    ],
+)
+def test_the_plain_conveyor_and_the_others_are_the_same_program_to_the_last_bit(
+    name: str,
+    in_python: str,
+    folder: Path,
+    grid: Callable[..., Lattice],
+    run: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
 ):
+    monkeypatch.setenv("MDMS_PYTHON_STEPS", in_python)
     lattice = grid(3, 6, missing=[(1, 4)])
     presence = np.random.default_rng(1).random((60, len(lattice), 1)) < 0.03
     parameters = {"linger_s": 0.03}
@@ -47,7 +61,7 @@ def test_the_plain_and_the_array_conveyor_are_the_same_program_to_the_last_bit(
             60,
             presence=presence,
         )
-        for name in ("conveyor.py", "fast_conveyor.py")
+        for name in ("conveyor.py", name)
     ]
     assert not drives[0].failures
     assert not drives[1].failures

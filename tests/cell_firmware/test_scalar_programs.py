@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bus.lattice import Lattice
 from cell_firmware.firmware import Inbox, Inputs, State
 from cell_firmware.loader import load
-from cell_firmware.scalar import ScalarFirmware, kernels_of
+from cell_firmware.scalar import ScalarFirmware
 from cell_firmware.specs import CellsSpec
 from cell_firmware.toolkit.hold import age_ttl, hold_last
 from tests.cell_firmware.conftest import cells_of
@@ -103,7 +103,7 @@ def test_the_records_of_a_program_have_the_fields_of_its_state_parameters_and_me
     parameters = {"field": FIELD} if name == "velocity_field" else PROGRAMS[name][1]
     firmware = load(CellsSpec(firmware=name, parameters=parameters))
     assert isinstance(firmware, ScalarFirmware)
-    kernels = kernels_of(firmware)
+    kernels = firmware.scalar_kernels()
     state = firmware.init(cells_of(Lattice([(0, 0), (0, 1)]), SENSORS))
     assert set(kernels.STATE.names or ()) == state.keys()
     for field, values in state.items():

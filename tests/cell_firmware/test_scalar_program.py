@@ -1,0 +1,154 @@
+"""Programs of users in scalar form: compiled, held to the same source in Python, refused where they can't be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bus.lattice import Lattice
+from bus.partition import Partition
+from cell_firmware.board import Board
+from cell_firmware.errors import FirmwareError
+from cell_firmware.firmware import Cells
+from cell_firmware.loader import find, load
+from cell_firmware.scalar_program import COMPARED_TICKS, PYTHON, ScalarProgram, run_in_python
+from cell_firmware.shard import Shard
+from cell_firmware.specs import CellsSpec
+
+PROGRAM = """
+import numpy as np
+from mdms import ScalarProgram, scalar_function
+
+FADE = 0.75
+
+@scalar_function
+def faded(value):
+    return FADE * value
+
+class Spread(ScalarProgram):
+    message = np.dtype([("u", "<f8"), ("here", "?")])
+    constants_type = np.dtype([("gain", "<f8")])
+    state_type = np.dtype([("u", "<f8"), ("count", "<i2"), ("seen", "u1")])
+
+    def constants(self):
+        return {"gain": 0.2}
+
+    def init(self, cells):
+        n = len(cells)
+        return {"u": 0.1 * cells.row, "count": np.zeros(n, np.int16), "seen": np.zeros(n, np.bool_)}
+
+    @staticmethod
+    def cell_step(constants, state, inputs, outputs):
+        total = 0.0
+        for side in range(4):
+            if inputs.received[side]:
+                total += inputs.message[side].u - state.u
+                if inputs.message[side].here:
+                    state.seen = 1
+        state.u = faded(state.u + constants.gain * total)
+        state.count = state.count + STEP
+        for side in range(4):
+            outputs.sent[side] = 1
+            outputs.message[side].u = state.u
+            outputs.message[side].here = inputs.presence[0] != 0
+        outputs.speed_m_s[0], outputs.speed_m_s[1] = state.u, 0.5 * state.seen
+"""
+
+
+def program(folder: Path, text: str, **replaced: str) -> Any:
+    """The class of a program, from a file."""
+    for old, new in replaced.items():
+        text = text.replace(old, new)
+    path = folder / "spread.py"
+    path.write_text(text)
+    return find(str(path))
+
+
+def shard(kind: Any, rows: int = 3, columns: int = 4) -> Shard:
+    lattice = Lattice((row, column) for row in range(rows) for column in range(columns))
+    position_m = np.stack((0.1 * lattice.columns, 0.1 * lattice.rows), axis=1)
+    cells = Cells.of(lattice, position_m, 0.004096)
+    return Shard(Board(kind(kind.Parameters())), cells, Partition.even(lattice, 1), 0)
+
+
+def drives(of: Shard, ticks: int) -> np.ndarray:
+    """The drives of all ticks, under presence bits that wander."""
+    bits = np.random.default_rng(7).random((ticks, len(of), 1)) < 0.2
+    found = []
+    for tick in range(ticks):
+        outputs = of.step(tick, bits[tick])
+        assert outputs.failures == ()
+        found.append(outputs.drive.copy())
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(240)
+def test_both_forms_give_the_same_drives_in_the_compared_ticks_and_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind = program(tmp_path, PROGRAM, STEP="1")
+    compiled = drives(shard(kind), 5 * COMPARED_TICKS)
+    monkeypatch.setenv(PYTHON, "1")
+    plain = drives(shard(kind), 5 * COMPARED_TICKS)
+    assert plain.any()
+    np.testing.assert_array_equal(compiled, plain)
+    monkeypatch.delenv(PYTHON)
+    # the same types with another step: another program
+    wrapping = program(tmp_path, PROGRAM, STEP="20000\n        state.u += state.count + state.count > 32767")
+    outputs = shard(wrapping).step(0, np.zeros((12, 1), np.bool_))
+    assert len(outputs.failures) == 12
+    problem = outputs.failures[0].problem
+    assert problem.startswith("FormsDiffer: state.u is 1.0 compiled, and 0.0 in Python"), problem
+
+
+def test_a_step_in_python_reads_and_writes_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(PYTHON, "1")
+    found = drives(shard(program(tmp_path, PROGRAM, STEP="1"), 2, 1), 3)
+    u = np.array([0.0, 0.1])
+    sent = None
+    for tick in range(3):
+        total = np.zeros(2) if sent is None else sent[::-1] - u
+        u = 0.75 * (u + 0.2 * total)
+        sent = u.copy()
+        np.testing.assert_array_equal(found[tick][:, 0], u)
+
+
+def test_an_error_in_python_is_the_cell_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(PYTHON, "1")
+    one = shard(program(tmp_path, PROGRAM, STEP="1 // (state.count - state.count)"))
+    with np.errstate(all="raise"):
+        outputs = one.step(0, np.zeros((12, 1), np.bool_))
+    assert {failure.problem.partition(":")[0] for failure in outputs.failures} <= {"ZeroDivisionError", ""}
+
+
+class Elsewhere(ScalarProgram):
+    state_type = np.dtype([("u", "<f8")])
+
+    def init(self, cells: Cells) -> dict[str, np.ndarray]:
+        return {"u": np.zeros(len(cells))}
+
+    @staticmethod
+    def cell_step(constants: Any, state: Any, inputs: Any, outputs: Any) -> None:
+        del constants, inputs, outputs
+        run_in_python(state, state, state, state, state)
+
+
+def test_a_step_that_calls_what_can_t_be_compiled_with_it_is_refused_by_name() -> None:
+    with pytest.raises(
+        FirmwareError, match=r"Elsewhere\.cell_step calls run_in_python: it may call functions of its"
+    ):
+        load(CellsSpec(firmware=f"{__name__}:Elsewhere"))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(240)
+def test_a_step_that_can_t_be_compiled_is_refused_with_numba_s_reason(tmp_path: Path) -> None:
+    program(tmp_path, PROGRAM, STEP="inputs.nothing")
+    with pytest.raises(
+        FirmwareError, match=r"Spread\.cell_step can't be compiled: .*; to run it as Python, set"
+    ):
+        load(CellsSpec(firmware=str(tmp_path / "spread.py")))
