@@ -52,7 +52,6 @@ class ImplicitWorkspace(NamedTuple):
     scratch: Floats
     newton: Floats
     wheels: Floats
-    limits: NDArray[np.int64]
     start: Floats
     velocity: Floats
     trial: Floats
@@ -109,7 +108,6 @@ def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
         law=np.zeros(implicit_layout.LAW_SIZE),
         pace=np.zeros(implicit_layout.PACE_SIZE),
         wheels=np.zeros((capacity, implicit_layout.WHEEL_SIZE)),
-        limits=np.zeros((capacity, 2), dtype=np.int64),
         start=np.zeros(3),
         velocity=np.zeros(3),
         trial=np.zeros(3),
@@ -179,16 +177,18 @@ def locate(
     parcel.par[layout.LIMIT] = math.inf
     if effects.wheel_load is not None:
         return
+    # loads by the pose, and jumping where a cell comes or goes: what chatter and the kernels of ``exact`` take
+    linear = effects.load_transfer is None and effects.contact_width is None
     if traction.set_valued:
         if not traction.isotropic:
             # no slip is within the limit: each wheel sticks, or slips one way
             parcel.par[[layout.LIMIT, layout.LIMIT_PER_SHARE]] = 0.0
             parcel.par[layout.FREE_SPEED] = traction.free_speed
             law[implicit_layout.LOCATED] = 1.0
-        if effects.load_transfer is None:
+        if linear:
             law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
         return
-    if effects.load_transfer is not None:
+    if not linear:
         return
     set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
     # what the kernels of ``exact`` don't know of: where wheels change branch, and the motion along a surface
@@ -257,7 +257,7 @@ class Implicit(ThreadedSolver[ImplicitWorkspace]):
             self._laws[i] = coefficients(traction, mass_kg, scene.gravity_m_s2)
             load_wheels(scene, self._laws[i], mass_kg)
             self._paces[i] = first_pace(parcel, spec)
-            if spec.step_s is None and self._edges is None:
+            if spec.step_s is None:
                 locate(self._laws[i], self._paces[i], parcel, traction, mass_kg, scene, spec)
 
     def _make_workspace(self) -> ImplicitWorkspace:

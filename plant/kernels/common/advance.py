@@ -17,7 +17,7 @@ from plant.kernels.common.motion import onto_surfaces, surface_rates
 from plant.kernels.common.roots import horner
 from plant.kernels.common.series import taylor
 from plant.kernels.common.sliding_validity import outrunning, watch
-from plant.kernels.common.springs import foreseen
+from plant.kernels.common.springs import foreseen, ramp_ends
 from plant.kernels.common.wheel_direction import next_turn
 
 UNIT_TIME = (at.S_X, at.S_Y, at.S_TH, at.S_UX, at.S_UY, at.S_OM, at.S_C, at.S_S, at.S_E1, at.S_E2)
@@ -117,6 +117,7 @@ def search(surface, parcel, work, order, step):
     count, end = entering(surface, parcel, work, order, centre, lever, end, count)
     for i in range(ctl[at.N_MEMBERS]):
         work.where[mem[i, at.CELL]] = 0
+    count, end = ramp_ends(surface, parcel, work, order, centre, lever, end, count)
     if foreseen(surface):
         count, end = loading(surface, parcel, work, order, end, count)
     limited, along = par[at.LIMIT] < inf, par[at.PUSH_PER_SHARE] != 0.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.roots import NONE, deflate, first_crossing, horner
+from plant.kernels.common.springs import inset, spread
 
 SLACK = 1e-6
 """How far past the earliest event so far, in unit time, others are still looked for: they may fall together."""
@@ -47,12 +48,13 @@ def negate(g, order):
 
 
 @kernel
-def entry(ser, order, normal, offset, px, py, curve, zero, end, g, p, start):
+def entry(ser, order, normal, offset, outside, px, py, curve, zero, end, g, p, start):
     """Earliest time at which a cell outside the footprint is inside every edge. Returns (time, edge).
 
     Leaps from the last of the violated edges' crossings to the next until none is violated, so that no short stay
     is stepped over. A cell that rests on an edge for the whole step is inside of it, as members on an edge stay
-    members; it doesn't enter by that edge, though. ``curve`` bounds how far a distance departs from its tangent.
+    members; it doesn't enter by that edge, though. ``outside`` is ``inset``, and ``curve`` bounds how far a distance
+    departs from its tangent.
     """
     t, entered = 0.0, 0
     qx, qy, dx, dy = place(ser, px, py)
@@ -60,11 +62,11 @@ def entry(ser, order, normal, offset, px, py, curve, zero, end, g, p, start):
         latest, violated, rests, doubtful = t, False, False, 0
         for edge in range(offset.shape[0]):
             nx, ny = normal[edge, 0], normal[edge, 1]
-            value, rate = offset[edge] - nx * qx - ny * qy, -nx * dx - ny * dy
+            value, rate = offset[edge] - outside - nx * qx - ny * qy, -nx * dx - ny * dy
             if value + min(0.0, rate * end) - curve * end * end > zero:
                 continue
             doubtful += 1
-            edge_polynomial(ser, order, nx, ny, offset[edge], px, py, g)
+            edge_polynomial(ser, order, nx, ny, offset[edge] - outside, px, py, g)
             if t > 0.0:
                 if horner(g, order, t) > zero:
                     continue
@@ -161,7 +163,7 @@ def leaving(surface, parcel, work, order, centre, lever, end, count):
         parcel.y,
     )
     ser, found, g, p = work.ser, work.found, work.g, work.p
-    zero = parcel.par[at.ON_SURFACE]
+    zero, outside = parcel.par[at.ON_SURFACE], inset(surface)
     for i in range(ctl[at.N_MEMBERS]):
         cell = mem[i, at.CELL]
         px, py = pos[cell, 0] - y[0], pos[cell, 1] - y[1]
@@ -169,12 +171,12 @@ def leaving(surface, parcel, work, order, centre, lever, end, count):
         qx, qy, dx, dy = place(ser, px, py)
         for edge in range(offset.shape[0]):
             nx, ny = normal[edge, 0], normal[edge, 1]
-            value, rate = offset[edge] - nx * qx - ny * qy, -nx * dx - ny * dy
+            value, rate = offset[edge] - outside - nx * qx - ny * qy, -nx * dx - ny * dy
             if value + min(0.0, rate * end) - curve * end * end > zero:
                 continue
             if mem[i, at.SIDE] != 0 and mem[i, at.EDGE] == edge:
                 continue
-            edge_polynomial(ser, order, nx, ny, offset[edge], px, py, g)
+            edge_polynomial(ser, order, nx, ny, offset[edge] - outside, px, py, g)
             t = crossing(g, order, zero, end, p)
             if t <= end:
                 kind = at.CORNER if mem[i, at.SIDE] != 0 else at.LEAVE
@@ -189,7 +191,7 @@ def entering(surface, parcel, work, order, centre, lever, end, count):
     pos, grid, where = surface.pos, surface.grid, work.where
     vertices, normal, offset, y, par = parcel.vertices, parcel.normal, parcel.offset, parcel.y, parcel.par
     ser, found, g, p, start = work.ser, work.found, work.g, work.p, work.q
-    zero, radius = par[at.ON_SURFACE], par[at.RADIUS]
+    zero, radius, outside = par[at.ON_SURFACE], par[at.RADIUS], inset(surface)
     c, s = ser[at.S_C, 0], ser[at.S_S, 0]
     low_x = high_x = low_y = high_y = 0.0
     for v in range(vertices.shape[0]):
@@ -198,7 +200,7 @@ def entering(surface, parcel, work, order, centre, lever, end, count):
         low_x, high_x = min(low_x, vx), max(high_x, vx)
         low_y, high_y = min(low_y, vy), max(high_y, vy)
     far, turn = reach(ser, order)
-    swept = (far + turn * radius) * end * 1.000001 + zero
+    swept = (far + turn * radius) * end * 1.000001 + zero + spread(surface, normal)
     pitch = par[at.PITCH]
     left, below = y[0] - par[at.ORIGIN_X], y[1] - par[at.ORIGIN_Y]
     # clamp before the conversion: a swept distance may exceed any integer
@@ -217,13 +219,13 @@ def entering(surface, parcel, work, order, centre, lever, end, count):
             qx, qy, dx, dy = place(ser, px, py)
             for edge in range(offset.shape[0]):
                 nx, ny = normal[edge, 0], normal[edge, 1]
-                value, rate = offset[edge] - nx * qx - ny * qy, -nx * dx - ny * dy
+                value, rate = offset[edge] - outside - nx * qx - ny * qy, -nx * dx - ny * dy
                 if value + max(0.0, rate * end) + curve * end * end < -zero:
                     near = False
                     break
             if not near:
                 continue
-            t, edge = entry(ser, order, normal, offset, px, py, curve, zero, end, g, p, start)
+            t, edge = entry(ser, order, normal, offset, outside, px, py, curve, zero, end, g, p, start)
             if t <= end:
                 count = note(found, count, t, at.ENTER, cell, edge)
                 end = min(end, t + SLACK)

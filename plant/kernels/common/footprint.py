@@ -31,6 +31,16 @@ def box(vertices, y, par, grid, margin):
 
 
 @kernel
+def mitre(normal):
+    """How far from a corner, at most, the point lies that is a unit outside of both its edges."""
+    most, last = 1.0, normal.shape[0] - 1
+    for edge in range(normal.shape[0]):
+        cosine = normal[edge, 0] * normal[last, 0] + normal[edge, 1] * normal[last, 1]
+        most, last = max(most, (2.0 / (1.0 + cosine)) ** 0.5), edge
+    return most
+
+
+@kernel
 def inside(px, py, normal, offset, y, c, s, slack):
     """Whether a point of the surface is under the footprint, the boundary and ``slack`` included."""
     dx, dy = px - y[0], py - y[1]

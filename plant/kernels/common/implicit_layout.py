@@ -52,8 +52,7 @@ WHEEL_SIZE: Final = 17
 REGIME: Final = 3  # which wheels are at their limits there
 SLIPPED: Final = 4  # the largest slip in the step of a wheel that sticks where it begins, m/s
 OUTSIDE: Final = 5  # how far a captured group's fraction leaves [0, 1] in it, at most
-LISTED_FIRST: Final = 6  # how many wheels pull in it
-FIRST_SIZE: Final = 7
+FIRST_SIZE: Final = 6
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

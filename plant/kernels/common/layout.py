@@ -152,3 +152,5 @@ TIP: Final = 10
 OUTRAN: Final = 11
 SWITCH: Final = 12
 """A wheel reaches another branch of the law, or is outrun, or no longer: ends the step, and nothing else."""
+RAMP: Final = 13
+"""A cell's share of the load begins or ceases to ramp, on wheels with a width: ends the step, and nothing else."""

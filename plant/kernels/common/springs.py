@@ -42,7 +42,7 @@ def unshift(surface):
 
 
 def foreseen(surface):
-    """Whether the loads along a step follow from the motion alone."""
+    """Whether the loads along a step are linear in the pose as long as the supports stand."""
 
 
 def rate(surface, cell):
@@ -73,10 +73,30 @@ def reach(surface):
     """How far outside the footprint a cell's centre may lie and the cell still be under it, m."""
 
 
+def inset(surface):
+    """How far inside an edge a cell's centre is as the cell comes to be under the parcel, m: ``reach`` outside."""
+
+
+def spread(surface, normal):
+    """How far outside the footprint, also beyond its corners, a cell's centre may lie and the cell be under it, m."""
+
+
 def touches(surface, parcel, slot, c, s):
     """Whether the cell in ``parcel.mem[slot]`` is under the parcel by more than nothing; keeps by how much.
 
     ``c`` and ``s`` are cosine and sine of the parcel's angle.
+    """
+
+
+def weigh(surface, parcel):
+    """Find how much of each cell on the list is under the parcel where it is."""
+
+
+def ramp_ends(surface, parcel, work, order, centre, lever, end, count):
+    """Find where a cell's share of the load begins or ceases to ramp, in the step's series.
+
+    ``centre`` and ``lever`` are those of ``events.bend``. Returns (how many events there are, the time up to which
+    others are looked for).
     """
 
 
@@ -144,9 +164,14 @@ def _never_another(_surface):
     return False
 
 
-@implements(foreseen, "transfer", own=False)
-def _by_pose(_surface):
+@implements(foreseen, "transfer", "edges", own=False)
+def _by_supports(_surface):
     return True
+
+
+@implements(foreseen, "transfer", "edges", own=True)
+def _found_afresh(_surface):
+    return False
 
 
 @implements(rate, "springs", own=False)
@@ -178,6 +203,26 @@ def _of_the_mean(_surface, a0):
 @implements(reach, "edges", own=False)
 def _centre_only(_surface):
     return 0.0
+
+
+@implements(inset, "edges", own=False)
+def _on_the_edge(_surface):
+    return 0.0
+
+
+@implements(spread, "edges", own=False)
+def _no_farther(_surface, _normal):
+    return 0.0
+
+
+@implements(weigh, "edges", own=False)
+def _all_whole(_surface, _parcel):
+    return
+
+
+@implements(ramp_ends, "edges", own=False)
+def _no_ramps(_surface, _parcel, _work, _order, _centre, _lever, end, count):
+    return count, end
 
 
 @implements(touches, "edges", own=False)

@@ -23,10 +23,9 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.hooks import implements
 from plant.kernels.common.loads import settle
-from plant.kernels.common.springs import foreseen, shift, transfer_under, unshift
+from plant.kernels.common.springs import shift, transfer_under, unshift
 from plant.kernels.common.surface import Transfer
-from plant.kernels.implicit.balance_hooks import balance, begin_balance, hold_supports
-from plant.kernels.implicit.supports import settle_loads
+from plant.kernels.implicit.balance_hooks import balance, begin_balance
 
 PASSES = 200
 EXACT = 1e-14
@@ -54,16 +53,6 @@ def _unshift(surface):
     there = surface.transfer.shift[0] != 0.0 or surface.transfer.shift[1] != 0.0
     surface.transfer.shift[0] = surface.transfer.shift[1] = 0.0
     return there
-
-
-@implements(foreseen, "transfer", own=True)
-def _by_traction(_surface):
-    return False
-
-
-@implements(hold_supports, "transfer", own=True)
-def _hold(surface, parcel, work):
-    return settle_loads(surface, parcel, work)
 
 
 @implements(begin_balance, "transfer", own=True)

@@ -1,8 +1,7 @@
 """The implicit solver's loop of one parcel: steps, and what changed.
 
-Controlled steps end at the first change of supports in them (``located``). Steps of a given length, and those on wheels
-with a width, whose supports change without a jump, take the supports of the pose that each of their parts begins at:
-there, cells enter and leave, loads vanish and return, at the ends of steps.
+Controlled steps end at the first change of supports in them (``located``). Steps of a given length take the supports of
+the pose that they begin at: there, cells enter and leave, loads vanish and return, at the ends of steps.
 """
 
 from __future__ import annotations
@@ -14,48 +13,31 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.footprint import fill, may_go_on, sampled_until
-from plant.kernels.common.hooks import implements
-from plant.kernels.common.springs import reach
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.implicit import located
-from plant.kernels.implicit.event_hooks import UNLOCATED, prepare_step, take_step
-from plant.kernels.implicit.extrapolation import controlled, cut
+from plant.kernels.implicit.extrapolation import cut
 from plant.kernels.implicit.hooks import keep
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
 from plant.kernels.implicit.stiction_hooks import keep_grips
-from plant.kernels.implicit.supports import corner_speed, decay, find_loads, longest
+from plant.kernels.implicit.supports import admit, decay, find_loads
 
-NARROWEST = 0.01
-"""Wheels narrower than this, in pitches, count as so wide where it is asked how far corners may move in a step."""
 SOON = 0.05
 """Support changes are forgotten after this time, s, where they are counted as chatter."""
 
 
 @kernel
-def look_ahead(surface, parcel, work, now, left):
-    """How long a controlled step may be at most, s: no corner passes a wheel's width in it."""
-    h, par, width = min(longest(parcel.par, now, left), work.pace[im.NEXT]), parcel.par, 2.0 * reach(surface)
-    speed, way = corner_speed(parcel), max(width, NARROWEST * par[at.PITCH])
-    return way / speed if speed * h > way else h
-
-
-@kernel
 def unlocated_step(surface, parcel, work, now, left, events):
-    """One step of at most ``left`` seconds and what it changed. Returns (status, seconds, attempts)."""
-    pace, attempts = work.pace, 1
+    """One step of the given length, at most ``left`` seconds, and what it changed. Returns (status, seconds)."""
+    pace = work.pace
     for k in range(6):
         work.begin[k] = parcel.y[k]
     keep(work)
     keep_grips(surface, parcel, work, decay(parcel.par, now))
     before = remember(parcel, work)
-    if pace[im.FIXED] > 0.0:
-        # equal steps up to where a state is asked for, none longer than said
-        most = allowed(surface, parcel, work, now, pace[im.FIXED])
-        h = left / max(1.0, -((1e-9 - left / most) // 1.0))
-        status = cut(surface, parcel, work, now, h, im.ONE_PART)
-    else:
-        most = allowed(surface, parcel, work, now, look_ahead(surface, parcel, work, now, left))
-        status, h, attempts = controlled(surface, parcel, work, now, most, before)
+    # equal steps up to where a state is asked for, none longer than said
+    most = allowed(surface, parcel, work, now, pace[im.FIXED])
+    h = left / max(1.0, -((1e-9 - left / most) // 1.0))
+    status = cut(surface, parcel, work, now, h, im.ONE_PART)
     if status == at.MOVING and not finite(parcel.y):
         status = at.NOT_FINITE
     if status != at.MOVING:
@@ -63,7 +45,7 @@ def unlocated_step(surface, parcel, work, now, left, events):
             # where it was when numbers ended, not where they led
             for k in range(6):
                 parcel.y[k] = work.begin[k]
-        return status, 0.0, attempts
+        return status, 0.0
     status = find_loads(surface, parcel, work)
     if status == at.MOVING:
         strike(surface, parcel, work, now, h)
@@ -71,30 +53,23 @@ def unlocated_step(surface, parcel, work, now, left, events):
     pace[im.CROWD] = pace[im.CROWD] * exp(-h / SOON) + changes
     if work.law[im.PUSH_PER_SHARE] != 0.0:
         note_outrun(surface, parcel, work, now + h, decay(parcel.par, now + h), events)
-    return status, h, attempts
+    return status, h
 
 
-@implements(prepare_step, *UNLOCATED, own=True)
-def _prepare(surface, parcel, work, _now, _events):
-    return find_loads(surface, parcel, work)
-
-
-@implements(prepare_step, *UNLOCATED, own=False)
-def _prepare_either(surface, parcel, work, now, events):
+@kernel
+def prepare_step(surface, parcel, work, now, events):
+    """Loads where a call begins. Returns the status."""
     if work.pace[im.LOCATES] == 0.0:
         return find_loads(surface, parcel, work)
     return located.prepare(surface, parcel, work, now, events)
 
 
-@implements(take_step, *UNLOCATED, own=True)
-def _step(surface, parcel, work, now, left, events):
-    return unlocated_step(surface, parcel, work, now, left, events)
-
-
-@implements(take_step, *UNLOCATED, own=False)
-def _either_step(surface, parcel, work, now, left, events):
+@kernel
+def take_step(surface, parcel, work, now, left, events):
+    """One step of at most ``left`` seconds. Returns (status, seconds, attempts)."""
     if work.pace[im.LOCATES] == 0.0:
-        return unlocated_step(surface, parcel, work, now, left, events)
+        status, h = unlocated_step(surface, parcel, work, now, left, events)
+        return status, h, at.ONE
     return located.step(surface, parcel, work, now, left, events)
 
 
@@ -120,6 +95,8 @@ def advance(surface, parcel, work, stop, span, times, out, events):
     now, sampled, taken = 0.0, 0, ctl[at.N_STEPS]
     steps[0] = min(steps[0], steps[1])
     ctl[at.N_LOGGED] = ctl[at.N_CROSSED] = ctl[at.N_LAST] = 0
+    if work.pace[im.LOCATES] != 0.0:
+        admit(surface, parcel, work)
     if span == 0.0 or work.pace[im.LOCATES] == 0.0:
         ctl[at.STATUS] = prepare_step(surface, parcel, work, now, events)
     while now < span and ctl[at.STATUS] == at.MOVING:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from plant.kernels.common import layout as at
 from plant.kernels.common.hooks import implements
-from plant.kernels.implicit.supports import carry_supports
+from plant.kernels.implicit.supports import carry_supports, settle_loads
 
 
 def hold_supports(surface, parcel, work):
@@ -27,10 +27,15 @@ def balance(surface, parcel, work, ax, ay, noise):
     """
 
 
-@implements(hold_supports, "transfer", own=False)
+@implements(hold_supports, "transfer", "edges", own=False)
 def _carry(_surface, parcel, work):
     carry_supports(parcel, work)
     return at.MOVING
+
+
+@implements(hold_supports, "transfer", "edges", own=True)
+def _settle(surface, parcel, work):
+    return settle_loads(surface, parcel, work)
 
 
 @implements(begin_balance, "transfer", own=False)

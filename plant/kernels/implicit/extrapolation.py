@@ -1,8 +1,8 @@
 """Steps of one parcel between changes of its supports: implicit Euler's in 1 to 4 parts, extrapolated.
 
-The step is taken in 1, 2, 3 and 4 parts and the four results are extrapolated to no step length at all. Where changes
-are located (``im.LOCATES``), the cells that carry load are those of the step's begin all along. Elsewhere they are
-found afresh for each part, and a change within makes the results differ, so that the step shrinks.
+The step is taken in 1, 2, 3 and 4 parts and the four results are extrapolated to no step length at all. The cells under
+the parcel are those of the step's begin all along, and as a rule so are those that carry load (``im.LOCATES``). Steps
+of a given length, one part each, find both afresh.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
 from plant.kernels.common.advance import finite
 from plant.kernels.common.motion import solve
-from plant.kernels.common.springs import foreseen, smooth
+from plant.kernels.common.springs import foreseen
 from plant.kernels.implicit.balance_hooks import balance, begin_balance, hold_supports
 from plant.kernels.implicit.hooks import extrapolate, slow, tabulate, take_back
 from plant.kernels.implicit.step import (
@@ -23,11 +23,8 @@ from plant.kernels.implicit.step import (
     ROUNDED,
     grasp,
     largest_slip,
-    limits_changed,
-    note_limits,
     regime,
 )
-from plant.kernels.implicit.step_events import same
 from plant.kernels.implicit.stiction_hooks import commit_grips, find_velocity, restore_grips
 from plant.kernels.implicit.supports import decay, find_loads
 
@@ -217,8 +214,6 @@ def cut(surface, parcel, work, now, h, parts):
             work.first[im.OUTSIDE] = max(work.first[im.OUTSIDE], outside(parcel, work))
         if j == 0:
             work.first[im.REGIME] = wheels
-            if parts == PARTS and smooth(surface):
-                note_limits(work, pulling, work.law[im.ISOTROPIC], work.velocity)
             for k in range(3):
                 work.first[k] = y[at.UX + k] - work.begin[at.UX + k]
         if not finite(y):
@@ -256,10 +251,10 @@ def length(state, first, parcel):
 
 
 @kernel
-def unseen(surface, parcel, work, now, h, before):
+def unseen(surface, parcel, work, now, h):
     """Error, m, by a change in the first or last part of a step just taken, which extrapolation can't see.
 
-    A change of supports, or of the branch of the law at some wheel. The last part had no look at its end; one in the
+    A change of the branch of the law at some wheel. The last part had no look at its end; one in the
     first part looks like one at the start, to every way of cutting the step. Estimated by the change of velocity in the
     first part, against that in one more part after the step's end, and against the acceleration of ``note_branches``.
     """
@@ -269,18 +264,13 @@ def unseen(surface, parcel, work, now, h, before):
         return 0.0 if h <= INSTANT else 1e300
     for k in range(6):
         work.end[k] = y[k]
-    _, wheels, pulling = euler(surface, parcel, work, now + h + part, part)
+    _, wheels, _ = euler(surface, parcel, work, now + h + part, part)
     for k in range(3):
         error[at.UX + k] = (y[at.UX + k] - work.end[at.UX + k]) - first[k]
     for k in range(6):
         y[k] = work.end[k]
-    alike = work.pace[im.LOCATES] != 0.0 or same(parcel, work, before)
     wrong = 0.0
-    changed = not alike or wheels != first[im.REGIME]
-    if not alike and smooth(surface):
-        # cells come and go without load: those count that stay
-        changed = limits_changed(work, pulling, work.law[im.ISOTROPIC], work.velocity)
-    if changed:
+    if wheels != first[im.REGIME]:
         wrong = LASTS * length(error, at.UX, parcel)
     if first[im.REGIME] != work.begun[3]:
         for k in range(3):
@@ -304,19 +294,18 @@ def tips_next(surface, parcel, work, now, h):
 
 
 @kernel
-def controlled(surface, parcel, work, now, h, before):
+def controlled(surface, parcel, work, now, h):
     """One step of at most ``h`` that is right to the tolerance. Returns (status, seconds, attempts)."""
     pace, attempts = work.pace, at.ZERO
     watched = branches(work.law) and work.law[im.LOCATED] == 0.0
-    blind = watched or pace[im.LOCATES] == 0.0
     if watched:
         note_branches(surface, parcel, work, now)
     while True:
         attempts += 1
         status, error = extrapolated(surface, parcel, work, now, h)
         allowed = pace[im.TOLERANCE] * max(h, JUMP) + rounding(parcel.y)
-        if status == at.MOVING and error <= allowed and blind:
-            error = max(error, unseen(surface, parcel, work, now, h, before))
+        if status == at.MOVING and error <= allowed and watched:
+            error = max(error, unseen(surface, parcel, work, now, h))
         if not foreseen(surface) and status == at.MOVING and error <= allowed and h > INSTANT:
             error = 1e300 if tips_next(surface, parcel, work, now, h) else error
         factor = 5.0 if error == 0.0 else min(5.0, max(0.1, 0.8 * (allowed / error) ** 0.25))

@@ -33,7 +33,7 @@ from plant.kernels.common.hooks import implements
 from plant.kernels.common.modes import least_share
 from plant.kernels.common.series import taylor
 from plant.kernels.common.sliding_validity import watch
-from plant.kernels.common.springs import foreseen, gap, negligible, note_gaps, plane_at
+from plant.kernels.common.springs import foreseen, gap, inset, negligible, note_gaps, plane_at, reach, smooth
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.common.wheel_direction import next_turn
 from plant.kernels.implicit.dense import expand
@@ -187,7 +187,10 @@ def event_motion(surface, parcel, work, kind, cell, edge, now, t):
     c, s = cos(y[at.THETA]), sin(y[at.THETA])
     if kind == at.ENTER or kind == at.LEAVE or kind == at.CORNER:
         rate, _ = edge_motion(surface.pos, parcel.normal, cell, edge, y, c, s, work.before)
-        return depth(surface, parcel, cell, edge, c, s), rate
+        return depth(surface, parcel, cell, edge, c, s) - inset(surface), rate
+    if kind == at.RAMP:
+        rate, _ = edge_motion(surface.pos, parcel.normal, cell, edge, y, c, s, work.before)
+        return depth(surface, parcel, cell, edge, c, s) - reach(surface), rate
     if kind == at.UNLOAD or kind == at.TOUCH:
         # the last entry says in which mode
         seg = work.segs[edge]
@@ -240,7 +243,7 @@ def onto_edge(surface, parcel, cell, edge, most):
     """
     y, par, normal = parcel.y, parcel.par, parcel.normal
     c, s = cos(y[at.THETA]), sin(y[at.THETA])
-    off = depth(surface, parcel, cell, edge, c, s)
+    off = depth(surface, parcel, cell, edge, c, s) - inset(surface)
     if 0.25 * par[at.ON_SURFACE] < abs(off) <= max(most, 4.0 * par[at.ON_SURFACE]):
         y[0] -= off * (c * normal[edge, 0] - s * normal[edge, 1])
         y[1] -= off * (s * normal[edge, 0] + c * normal[edge, 1])
@@ -358,7 +361,9 @@ def step(surface, parcel, work, now, left, events):
     """One step of at most ``left`` seconds, to its first event. Returns (status, seconds, attempts)."""
     y, pace, ctl = parcel.y, work.pace, parcel.ctl
     slips = jumps(parcel.par)
-    quiet = calm(surface, parcel, work) if work.law[im.CAPTURES] == 0.0 else 0.0
+    # nothing chatters where loads ramp
+    chatters = work.law[im.CAPTURES] == 0.0 and not smooth(surface)
+    quiet = calm(surface, parcel, work) if chatters else 0.0
     blind = unsettled(parcel, work)
     if blind:
         quiet = dwell(parcel, work)
@@ -388,7 +393,7 @@ def step(surface, parcel, work, now, left, events):
         return status, 0.0, at.ONE
     share, _, _ = least_share(parcel, work)
     most = look_ahead(surface, parcel, work, now, left)
-    status, h, attempts = controlled(surface, parcel, work, now, most, at.ZERO)
+    status, h, attempts = controlled(surface, parcel, work, now, most)
     if status == at.MOVING and not finite(y):
         status = at.NOT_FINITE
     if status == at.MOVING and ctl[at.N_GROUPS] > 0:

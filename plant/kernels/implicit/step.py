@@ -437,30 +437,3 @@ def regime(work, count, isotropic, w):
         # weights of which no small sums cancel
         total += (i + 1.37) ** 0.5 * x + (i + 1.91) ** 0.5 * y
     return total
-
-
-@kernel
-def note_limits(work, count, isotropic, w):
-    """Keep which wheels are at their limits, on which side, cell by cell."""
-    work.first[im.LISTED_FIRST] = count
-    for i in range(count):
-        row = work.wheels[i]
-        x, y = at_limit(row, w, isotropic)
-        work.limits[i, 0], work.limits[i, 1] = int(row[im.CELL]), int(5.0 + x + 3.0 * y)
-
-
-@kernel
-def limits_changed(work, count, isotropic, w):
-    """Whether a wheel that ``note_limits`` knew, and that still pulls, is at another limit now, or no longer at one."""
-    known, where, any_did = int(work.first[im.LISTED_FIRST]), work.where, False
-    for i in range(known):
-        where[work.limits[i, 0]] = work.limits[i, 1]
-    for i in range(count):
-        row = work.wheels[i]
-        before = where[int(row[im.CELL])]
-        x, y = at_limit(row, w, isotropic)
-        if before != 0 and before != int(5.0 + x + 3.0 * y):
-            any_did = True
-    for i in range(known):
-        where[work.limits[i, 0]] = 0
-    return any_did

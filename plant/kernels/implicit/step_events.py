@@ -18,17 +18,6 @@ def remember(parcel, work):
 
 
 @kernel
-def same(parcel, work, before):
-    """Whether the cells under the parcel, and those that carry load, are as ``remember`` saved them."""
-    if parcel.ctl[at.N_MEMBERS] != before:
-        return False
-    for i in range(before):
-        if parcel.mem[i, at.CELL] != work.saved[i, 0] or parcel.mem[i, at.MARK] != work.saved[i, 1]:
-            return False
-    return True
-
-
-@kernel
 def note_changes(parcel, work, before, now, events):
     """Log what is not as ``remember`` saved it. Returns how many changes."""
     mem, ctl, saved, where = parcel.mem, parcel.ctl, work.saved, work.where

@@ -6,22 +6,18 @@ from math import cos, exp, sin
 
 from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
+from plant.kernels.common.changes import enter
 from plant.kernels.common.footprint import box, inside
+from plant.kernels.common.hooks import implements
 from plant.kernels.common.loads import settle
-from plant.kernels.common.springs import reach, touches, unshift
+from plant.kernels.common.springs import reach, spread, touches, unshift, weigh
 
 FARTHEST = 1e9
 """A parcel this many pitches away has no cells under it."""
 
 
-@kernel
-def mitre(normal):
-    """How far from a corner, at most, the point lies that is a unit outside of both its edges."""
-    most, last = 1.0, normal.shape[0] - 1
-    for edge in range(normal.shape[0]):
-        cosine = normal[edge, 0] * normal[last, 0] + normal[edge, 1] * normal[last, 1]
-        most, last = max(most, (2.0 / (1.0 + cosine)) ** 0.5), edge
-    return most
+def admit(surface, parcel, work):
+    """Add the cells that are under the parcel by the width of their wheels alone, where a call begins."""
 
 
 @kernel
@@ -29,7 +25,7 @@ def find_loads(surface, parcel, work):
     """Which cells lie under the parcel where it is, and which of them carry load. Returns the status."""
     y, par, mem, grid = parcel.y, parcel.par, parcel.mem, surface.grid
     count, slack = at.ZERO, par[at.ON_SURFACE] + reach(surface)
-    margin = slack * mitre(parcel.normal) if reach(surface) > 0.0 else slack
+    margin = par[at.ON_SURFACE] + spread(surface, parcel.normal)
     away = max(abs(y[0] - par[at.ORIGIN_X]), abs(y[1] - par[at.ORIGIN_Y]))
     if away < FARTHEST * par[at.PITCH]:
         c, s = cos(y[at.THETA]), sin(y[at.THETA])
@@ -47,9 +43,39 @@ def find_loads(surface, parcel, work):
     return settle_loads(surface, parcel, work)
 
 
+@implements(admit, "edges", own=False)
+def _all_known(_surface, _parcel, _work):
+    return
+
+
+@implements(admit, "edges", own=True)
+def _admit(surface, parcel, work):
+    y, par, mem, ctl, grid, where = parcel.y, parcel.par, parcel.mem, parcel.ctl, surface.grid, work.where
+    if max(abs(y[0] - par[at.ORIGIN_X]), abs(y[1] - par[at.ORIGIN_Y])) >= FARTHEST * par[at.PITCH]:
+        return
+    c, s = cos(y[at.THETA]), sin(y[at.THETA])
+    # one whose wheel just touches an edge has left
+    slack = reach(surface) - par[at.ON_SURFACE]
+    margin = spread(surface, parcel.normal)
+    first_row, last_row, first_column, last_column = box(parcel.vertices, y, par, grid, margin)
+    for i in range(ctl[at.N_MEMBERS]):
+        where[mem[i, at.CELL]] = 1
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            cell = grid[row, column]
+            if cell < 0 or where[cell] != 0:
+                continue
+            px, py = surface.pos[cell, 0], surface.pos[cell, 1]
+            if inside(px, py, parcel.normal, parcel.offset, y, c, s, slack):
+                enter(mem, ctl, cell)
+    for i in range(ctl[at.N_MEMBERS]):
+        where[mem[i, at.CELL]] = 0
+
+
 @kernel
 def settle_loads(surface, parcel, work):
     """Which of the cells under the parcel carry load where it is. Returns the status."""
+    weigh(surface, parcel)
     status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
     if status == at.TIPPED and unshift(surface):
         # the traction that shifted the loads may be gone
