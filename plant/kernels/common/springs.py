@@ -92,6 +92,10 @@ def weigh(surface, parcel):
     """Find how much of each cell on the list is under the parcel where it is."""
 
 
+def ramps(surface, parcel):
+    """Whether the share of some cell on the list changes with the pose."""
+
+
 def ramp_ends(surface, parcel, work, order, centre, lever, end, count):
     """Find where a cell's share of the load begins or ceases to ramp, in the step's series.
 
@@ -218,6 +222,11 @@ def _no_farther(_surface, _normal):
 @implements(weigh, "edges", own=False)
 def _all_whole(_surface, _parcel):
     return
+
+
+@implements(ramps, "edges", own=False)
+def _stands(_surface, _parcel):
+    return False
 
 
 @implements(ramp_ends, "edges", own=False)

@@ -22,6 +22,7 @@ from plant.kernels.common.springs import (
     inset,
     overlap,
     ramp_ends,
+    ramps,
     reach,
     smooth,
     spread,
@@ -59,6 +60,20 @@ def _weigh_all(surface, parcel):
     c, s = cos(parcel.y[at.THETA]), sin(parcel.y[at.THETA])
     for i in range(parcel.ctl[at.N_MEMBERS]):
         touches(surface, parcel, i, c, s)
+
+
+@implements(ramps, "edges", own=True)
+def _beside_an_edge(surface, parcel):
+    normal, offset, y = parcel.normal, parcel.offset, parcel.y
+    c, s, near = cos(y[at.THETA]), sin(y[at.THETA]), reach(surface) + parcel.par[at.ON_SURFACE]
+    for i in range(parcel.ctl[at.N_MEMBERS]):
+        cell = parcel.mem[i, at.CELL]
+        dx, dy = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
+        qx, qy = c * dx + s * dy, -s * dx + c * dy
+        for edge in range(offset.shape[0]):
+            if abs(offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy) <= near:
+                return True
+    return False
 
 
 @implements(ramp_ends, "edges", own=True)

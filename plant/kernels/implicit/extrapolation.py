@@ -294,6 +294,12 @@ def tips_next(surface, parcel, work, now, h):
 
 
 @kernel
+def tolerated(parcel, work, h):
+    """The error, m, that a step of ``h`` may have."""
+    return work.pace[im.TOLERANCE] * max(h, JUMP) + rounding(parcel.y)
+
+
+@kernel
 def controlled(surface, parcel, work, now, h):
     """One step of at most ``h`` that is right to the tolerance. Returns (status, seconds, attempts)."""
     pace, attempts = work.pace, at.ZERO
@@ -303,7 +309,7 @@ def controlled(surface, parcel, work, now, h):
     while True:
         attempts += 1
         status, error = extrapolated(surface, parcel, work, now, h)
-        allowed = pace[im.TOLERANCE] * max(h, JUMP) + rounding(parcel.y)
+        allowed = tolerated(parcel, work, h)
         if status == at.MOVING and error <= allowed and watched:
             error = max(error, unseen(surface, parcel, work, now, h))
         if not foreseen(surface) and status == at.MOVING and error <= allowed and h > INSTANT:

@@ -33,12 +33,22 @@ from plant.kernels.common.hooks import implements
 from plant.kernels.common.modes import least_share
 from plant.kernels.common.series import taylor
 from plant.kernels.common.sliding_validity import watch
-from plant.kernels.common.springs import foreseen, gap, inset, negligible, note_gaps, plane_at, reach, smooth
+from plant.kernels.common.springs import (
+    foreseen,
+    gap,
+    inset,
+    negligible,
+    note_gaps,
+    plane_at,
+    ramps,
+    reach,
+    smooth,
+)
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.common.wheel_direction import next_turn
 from plant.kernels.implicit.dense import expand
 from plant.kernels.implicit.event_hooks import UNCAPTURED, follow_captures
-from plant.kernels.implicit.extrapolation import controlled, extrapolated
+from plant.kernels.implicit.extrapolation import controlled, extrapolated, tolerated
 from plant.kernels.implicit.hooks import keep, take_back
 from plant.kernels.implicit.sliding import accelerate_along, by_series, until_a_side_ends
 from plant.kernels.implicit.slips import (
@@ -133,8 +143,9 @@ def look_ahead(surface, parcel, work, now, left):
     e = decay(par, now)
     h = min(longest(par, now, left), work.pace[im.NEXT])
     turning, speed = abs(y[at.OMEGA]), corner_speed(parcel)
-    if speed * h > TRAVEL * par[at.PITCH]:
-        h = TRAVEL * par[at.PITCH] / speed
+    way = 2.0 * reach(surface) if ramps(surface, parcel) else TRAVEL * par[at.PITCH]
+    if speed * h > way:
+        h = way / speed
     if turning * h > TURN:
         h = TURN / turning
     if par[at.PUSH_PER_SHARE] != 0.0:
@@ -251,7 +262,7 @@ def onto_edge(surface, parcel, cell, edge, most):
 
 @kernel
 def take_to(surface, parcel, work, now, h, count, first, left):
-    """Take the step from ``work.begin`` again, up to the first of its events. Returns (status, seconds)."""
+    """Take the step from ``work.begin`` again, up to the first of its events. Returns (status, seconds, error in m)."""
     y = parcel.y
     which = first_event(work, count, first)
     t = first * h
@@ -260,14 +271,14 @@ def take_to(surface, parcel, work, now, h, count, first, left):
     if t == 0.0:
         take_back(work)
         restore_grips(surface, work)
-        return at.MOVING, 0.0
-    status, _ = extrapolated(surface, parcel, work, now, t)
+        return at.MOVING, 0.0, 0.0
+    status, error = extrapolated(surface, parcel, work, now, t)
     if status == at.MOVING and not finite(y):
         status = at.NOT_FINITE
     if status != at.MOVING:
-        return status, t
+        return status, t, error
     t += move_on(surface, parcel, work, which, CORRECTED * t, now, t, left - t)
-    return status, t
+    return status, t, error
 
 
 @kernel
@@ -393,30 +404,37 @@ def step(surface, parcel, work, now, left, events):
         return status, 0.0, at.ONE
     share, _, _ = least_share(parcel, work)
     most = look_ahead(surface, parcel, work, now, left)
-    status, h, attempts = controlled(surface, parcel, work, now, most)
-    if status == at.MOVING and not finite(y):
-        status = at.NOT_FINITE
-    if status == at.MOVING and ctl[at.N_GROUPS] > 0:
-        status, h, more = until_a_side_ends(surface, parcel, work, now, h, share)
+    while True:
+        status, h, more = controlled(surface, parcel, work, now, most)
         attempts += more
-    if status == at.MOVING and slips:
-        status, h, more = until_one_slips(surface, parcel, work, now, h)
-        attempts += more
-    if status == at.MOVING:
+        if status == at.MOVING and not finite(y):
+            status = at.NOT_FINITE
+        if status == at.MOVING and ctl[at.N_GROUPS] > 0:
+            status, h, more = until_a_side_ends(surface, parcel, work, now, h, share)
+            attempts += more
+        if status == at.MOVING and slips:
+            status, h, more = until_one_slips(surface, parcel, work, now, h)
+            attempts += more
+        if status != at.MOVING:
+            break
         overlook(parcel, work, crossed, at.ONE)
         count, first = find_events(surface, parcel, work, now, h)
         overlook(parcel, work, crossed, at.ZERO)
         if blind:
             count = at.ZERO
-        if count > 0:
-            status, h = take_to(surface, parcel, work, now, h, count, first, left)
-            attempts += 1
-        else:
+        if count == 0:
             for k in range(6):
                 y[k] = work.end[k]
             if slips:
                 rest_slips(surface, parcel, work, now, h)
                 commit_slips(surface, parcel, work)
+            break
+        most = first * h
+        status, h, error = take_to(surface, parcel, work, now, h, count, first, left)
+        attempts += 1
+        if not smooth(surface) or status != at.MOVING or error <= tolerated(parcel, work, most):
+            break
+        # a ramp that ended within a part of the longer step: its error told nothing of the shorter one's
     if status != at.MOVING:
         if status != at.TIPPED:
             # where it was when numbers ended, not where they led
