@@ -52,7 +52,8 @@ WHEEL_SIZE: Final = 17
 REGIME: Final = 3  # which wheels are at their limits there
 SLIPPED: Final = 4  # the largest slip in the step of a wheel that sticks where it begins, m/s
 OUTSIDE: Final = 5  # how far a captured group's fraction leaves [0, 1] in it, at most
-FIRST_SIZE: Final = 6
+ERROR: Final = 6  # that of the step extrapolated last, m
+FIRST_SIZE: Final = 7
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

@@ -240,7 +240,8 @@ def extrapolated(surface, parcel, work, now, h):
         y[k] = last[k] - one / 6.0 + 4.0 * two - 13.5 * three
         work.error[k] = -one / 6.0 + 2.0 * two - 4.5 * three
     error = length(work.error, at.ZERO, parcel) + LASTS * length(work.error, at.UX, parcel)
-    return at.MOVING, max(error, extrapolate(work, LASTS))
+    work.first[im.ERROR] = max(error, extrapolate(work, LASTS))
+    return at.MOVING, work.first[im.ERROR]
 
 
 @kernel

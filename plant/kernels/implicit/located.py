@@ -48,7 +48,7 @@ from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.common.wheel_direction import next_turn
 from plant.kernels.implicit.dense import expand
 from plant.kernels.implicit.event_hooks import UNCAPTURED, follow_captures
-from plant.kernels.implicit.extrapolation import controlled, extrapolated, tolerated
+from plant.kernels.implicit.extrapolation import SHORTEST, controlled, extrapolated, tolerated
 from plant.kernels.implicit.hooks import keep, take_back
 from plant.kernels.implicit.sliding import accelerate_along, by_series, until_a_side_ends
 from plant.kernels.implicit.slips import (
@@ -262,7 +262,7 @@ def onto_edge(surface, parcel, cell, edge, most):
 
 @kernel
 def take_to(surface, parcel, work, now, h, count, first, left):
-    """Take the step from ``work.begin`` again, up to the first of its events. Returns (status, seconds, error in m)."""
+    """Take the step from ``work.begin`` again, up to the first of its events. Returns (status, seconds)."""
     y = parcel.y
     which = first_event(work, count, first)
     t = first * h
@@ -271,14 +271,14 @@ def take_to(surface, parcel, work, now, h, count, first, left):
     if t == 0.0:
         take_back(work)
         restore_grips(surface, work)
-        return at.MOVING, 0.0, 0.0
-    status, error = extrapolated(surface, parcel, work, now, t)
+        return at.MOVING, 0.0
+    status, _ = extrapolated(surface, parcel, work, now, t)
     if status == at.MOVING and not finite(y):
         status = at.NOT_FINITE
     if status != at.MOVING:
-        return status, t, error
+        return status, t
     t += move_on(surface, parcel, work, which, CORRECTED * t, now, t, left - t)
-    return status, t, error
+    return status, t
 
 
 @kernel
@@ -368,6 +368,16 @@ def unsettled(parcel, work):
 
 
 @kernel
+def rough(surface, parcel, work, h):
+    """Whether a step that was accepted is not right to the tolerance now that it has been shortened to ``h``.
+
+    Only where loads ramp: a ramp that ends within a part of the longer step looks like a jump as the step begins, and
+    the error of that step told nothing of the shorter one's.
+    """
+    return smooth(surface) and h > SHORTEST and work.first[im.ERROR] > tolerated(parcel, work, h)
+
+
+@kernel
 def step(surface, parcel, work, now, left, events):
     """One step of at most ``left`` seconds, to its first event. Returns (status, seconds, attempts)."""
     y, pace, ctl = parcel.y, work.pace, parcel.ctl
@@ -417,6 +427,9 @@ def step(surface, parcel, work, now, left, events):
             attempts += more
         if status != at.MOVING:
             break
+        if rough(surface, parcel, work, h):
+            most = h
+            continue
         overlook(parcel, work, crossed, at.ONE)
         count, first = find_events(surface, parcel, work, now, h)
         overlook(parcel, work, crossed, at.ZERO)
@@ -430,11 +443,10 @@ def step(surface, parcel, work, now, left, events):
                 commit_slips(surface, parcel, work)
             break
         most = first * h
-        status, h, error = take_to(surface, parcel, work, now, h, count, first, left)
+        status, h = take_to(surface, parcel, work, now, h, count, first, left)
         attempts += 1
-        if not smooth(surface) or status != at.MOVING or error <= tolerated(parcel, work, most):
+        if status != at.MOVING or not rough(surface, parcel, work, most):
             break
-        # a ramp that ended within a part of the longer step: its error told nothing of the shorter one's
     if status != at.MOVING:
         if status != at.TIPPED:
             # where it was when numbers ended, not where they led
