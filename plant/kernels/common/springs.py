@@ -88,8 +88,8 @@ def touches(surface, parcel, slot, c, s):
     """
 
 
-def weigh(surface, parcel):
-    """Find how much of each cell on the list is under the parcel where it is."""
+def weigh(surface, parcel, h):
+    """Find how much of each cell on the list is under the parcel where its velocity leads in ``h`` seconds."""
 
 
 def ramps(surface, parcel):
@@ -220,7 +220,7 @@ def _no_farther(_surface, _normal):
 
 
 @implements(weigh, "edges", own=False)
-def _all_whole(_surface, _parcel):
+def _all_whole(_surface, _parcel, _h):
     return
 
 

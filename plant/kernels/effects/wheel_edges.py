@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from math import cos, sin
 
+from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.events import edge_polynomial, negate, note, place
 from plant.kernels.common.footprint import mitre
@@ -56,10 +57,14 @@ def _beyond_corners(surface, normal):
 
 
 @implements(weigh, "edges", own=True)
-def _weigh_all(surface, parcel):
-    c, s = cos(parcel.y[at.THETA]), sin(parcel.y[at.THETA])
+def _weigh_all(surface, parcel, h):
+    y = parcel.y
+    angle = y[at.THETA] + h * y[at.OMEGA]
+    c, s = cos(angle), sin(angle)
     for i in range(parcel.ctl[at.N_MEMBERS]):
-        touches(surface, parcel, i, c, s)
+        surface.edges.share[i] = share_under(
+            surface, parcel, i, (y[0] + h * y[at.UX], y[1] + h * y[at.UY]), c, s
+        )
 
 
 @implements(ramps, "edges", own=True)
@@ -105,16 +110,23 @@ def _whole_wheels(surface, parcel, work, order, centre, lever, end, count):
 
 @implements(touches, "edges", own=True)
 def _weigh(surface, parcel, slot, c, s):
+    share = share_under(surface, parcel, slot, (parcel.y[0], parcel.y[1]), c, s)
+    surface.edges.share[slot] = share
+    return share > NOTHING
+
+
+@kernel
+def share_under(surface, parcel, slot, centre, c, s):
+    """Share of the cell in ``parcel.mem[slot]`` that is under the parcel with its centre of mass at ``centre``, m."""
     cell, normal, offset = parcel.mem[slot, at.CELL], parcel.normal, parcel.offset
-    dx, dy = surface.pos[cell, 0] - parcel.y[0], surface.pos[cell, 1] - parcel.y[1]
+    dx, dy = surface.pos[cell, 0] - centre[0], surface.pos[cell, 1] - centre[1]
     qx, qy = c * dx + s * dy, -s * dx + c * dy
     share = 1.0
     for edge in range(offset.shape[0]):
         depth = offset[edge] - normal[edge, 0] * qx - normal[edge, 1] * qy
         u = max(0.0, min(1.0, 0.5 + depth / surface.edges.width_m))
         share *= u * u * (3.0 - 2.0 * u)
-    surface.edges.share[slot] = share
-    return share > NOTHING
+    return share
 
 
 @implements(overlap, "edges", own=True)

@@ -11,8 +11,11 @@ from plant.kernels.common.hooks import implements
 from plant.kernels.implicit.supports import carry_supports, settle_loads
 
 
-def hold_supports(surface, parcel, work):
-    """Loads where the parcel is, on the cells that were under it where the step began. Returns the status."""
+def hold_supports(surface, parcel, work, h):
+    """Loads where the parcel is, on the cells that were under it where the step began. Returns the status.
+
+    ``h`` is how long the part of the step lasts for which they are asked, s.
+    """
 
 
 def begin_balance(surface):
@@ -28,14 +31,14 @@ def balance(surface, parcel, work, ax, ay, noise):
 
 
 @implements(hold_supports, "transfer", "edges", own=False)
-def _carry(_surface, parcel, work):
+def _carry(_surface, parcel, work, _h):
     carry_supports(parcel, work)
     return at.MOVING
 
 
 @implements(hold_supports, "transfer", "edges", own=True)
-def _settle(surface, parcel, work):
-    return settle_loads(surface, parcel, work)
+def _settle(surface, parcel, work, h):
+    return settle_loads(surface, parcel, work, h)
 
 
 @implements(begin_balance, "transfer", own=False)

@@ -92,7 +92,7 @@ def accelerate(surface, parcel, work, now, acceleration):
     TIPPED where no loads balance the traction.
     """
     y, w, law = parcel.y, work.velocity, work.law
-    hold_supports(surface, parcel, work)
+    hold_supports(surface, parcel, work, at.NOTHING)
     ruled = law[im.SET_VALUED] != 0.0 and law[im.LOCATED] != 0.0
     if not ruled and (law[im.SET_VALUED] != 0.0 or law[im.WHEEL] != 0.0):
         for k in range(6):
@@ -102,7 +102,7 @@ def accelerate(surface, parcel, work, now, acceleration):
             acceleration[k] = (y[at.UX + k] - work.state[at.UX + k]) / INSTANT
         for k in range(6):
             y[k] = work.state[k]
-        hold_supports(surface, parcel, work)
+        hold_supports(surface, parcel, work, at.NOTHING)
         return status
     begin_balance(surface)
     while True:

@@ -50,10 +50,13 @@ SHORT = 1e-4
 
 
 @kernel
-def supports_here(surface, parcel, work):
-    """Find the loads where the parcel is on the way of a step, its supports held if they are. Returns the status."""
+def supports_here(surface, parcel, work, part):
+    """Find the loads for a ``part`` of a step from where the parcel is, its supports held if they are.
+
+    Returns the status.
+    """
     if work.pace[im.LOCATES] != 0.0:
-        return hold_supports(surface, parcel, work)
+        return hold_supports(surface, parcel, work, part)
     return find_loads(surface, parcel, work)
 
 
@@ -202,7 +205,7 @@ def cut(surface, parcel, work, now, h, parts):
     restore_grips(surface, work)
     work.first[im.SLIPPED] = work.first[im.OUTSIDE] = 0.0
     for j in range(parts):
-        status = supports_here(surface, parcel, work)
+        status = supports_here(surface, parcel, work, part)
         if status != at.MOVING:
             return status
         status, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
@@ -260,7 +263,7 @@ def unseen(surface, parcel, work, now, h):
     first part, against that in one more part after the step's end, and against the acceleration of ``note_branches``.
     """
     y, part, error, first = parcel.y, h / PARTS, work.error, work.first
-    status = supports_here(surface, parcel, work)
+    status = supports_here(surface, parcel, work, part)
     if status != at.MOVING:
         return 0.0 if h <= INSTANT else 1e300
     for k in range(6):
@@ -286,7 +289,7 @@ def tips_next(surface, parcel, work, now, h):
     y, part = parcel.y, h / PARTS
     for k in range(6):
         work.end[k] = y[k]
-    status = supports_here(surface, parcel, work)
+    status = supports_here(surface, parcel, work, part)
     if status == at.MOVING:
         status, _, _ = euler(surface, parcel, work, now + h + part, part)
     for k in range(6):

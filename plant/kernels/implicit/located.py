@@ -96,7 +96,7 @@ def prepare(surface, parcel, work, now, events):
 @kernel
 def prepare_uncaptured(surface, parcel, work, now):
     """Loads, and branches of the law. Returns the status."""
-    status = settle_loads(surface, parcel, work)
+    status = settle_loads(surface, parcel, work, at.NOTHING)
     if status == at.MOVING and work.law[im.LOCATED] != 0.0:
         if jumps(parcel.par):
             settle_slips(surface, parcel, decay(parcel.par, now))
@@ -456,7 +456,7 @@ def step(surface, parcel, work, now, left, events):
     carry_supports(parcel, work)
     if not foreseen(surface):
         # which cells carry load changes without a jump, and is looked at as the step ends
-        status = settle_loads(surface, parcel, work)
+        status = settle_loads(surface, parcel, work, at.NOTHING)
         note_changes(parcel, work, before, now + h, events)
     strike(surface, parcel, work, now, h)
     if count > 0:

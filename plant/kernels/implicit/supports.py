@@ -40,7 +40,7 @@ def find_loads(surface, parcel, work):
                     if touches(surface, parcel, count, c, s):
                         count += 1
     parcel.ctl[at.N_MEMBERS] = count
-    return settle_loads(surface, parcel, work)
+    return settle_loads(surface, parcel, work, at.NOTHING)
 
 
 @implements(admit, "edges", own=False)
@@ -73,9 +73,12 @@ def _admit(surface, parcel, work):
 
 
 @kernel
-def settle_loads(surface, parcel, work):
-    """Which of the cells under the parcel carry load where it is. Returns the status."""
-    weigh(surface, parcel)
+def settle_loads(surface, parcel, work, ahead):
+    """Which of the cells under the parcel carry load where it is. Returns the status.
+
+    Cells of which a share is under the parcel count by that ``ahead`` seconds from now.
+    """
+    weigh(surface, parcel, ahead)
     status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
     if status == at.TIPPED and unshift(surface):
         # the traction that shifted the loads may be gone
