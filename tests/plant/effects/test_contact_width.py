@@ -81,6 +81,23 @@ def test_a_wheel_beyond_a_corner_counts_by_both_edges() -> None:
     assert share == pytest.approx((u * u * (3.0 - 2.0 * u)) ** 2, rel=1e-6)
 
 
+def test_no_wheel_that_a_corner_just_brushes_is_missed() -> None:
+    """The parcel moves as its wheels do: steps are long, and a wheel's edge is under the corner for 40 microseconds."""
+    width, clipped, speed = 1e-3, 1e-5, 0.5
+    tip = 0.2 * np.sqrt(2.0) + 0.5 * width * np.sqrt(2.0)
+    place = (0.02, 0.55 - tip + clipped)
+    body = parcel(size_m=(0.4, 0.4), position_m=place, angle_rad=0.25 * np.pi, velocity_m_s=(speed, 0.0))
+    plant = wide(width, body, solver={"name": "implicit", "tolerance": 1e-4})
+    _, events = plant.advance(np.tile((speed, 0.0), (400, 1)), SECOND // 2)
+    for cell in np.flatnonzero(np.abs(plant.array.positions_m[:, 1] - 0.55) < 1e-9).tolist():
+        middle = (plant.array.positions_m[cell, 0] - place[0]) / speed
+        if 0.0 < middle < 0.5:
+            found = [(event.kind, event.time_s) for event in events if divmod(cell, 20) in event.cells]
+            known = [("support_gained", middle - clipped / speed), ("support_lost", middle + clipped / speed)]
+            assert [kind for kind, _ in found] == [kind for kind, _ in known]
+            assert [time for _, time in found] == pytest.approx([time for _, time in known], abs=1e-9)
+
+
 def test_on_uneven_supports_width_and_height_count_together() -> None:
     # stiffness (1/2, 1, 1/2), the middle higher by h: its share is (1 + K h / W) / 2
     high = {"stiffness_n_per_m": 1e4, "cells": [{"cell": (0, 1), "height_m": 4e-4}]}
