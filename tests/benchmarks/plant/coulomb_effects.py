@@ -30,6 +30,7 @@ CASES = {
     "wheel_load, isotropic": (CONE, True, {"wheel_load": {"inertia_kg": 0.05}}),
     "contact_width": (COULOMB, False, {"contact_width": {"width_m": 0.012}}),
     "contact_width, motors": (COULOMB, True, {"contact_width": {"width_m": 0.012}}),
+    "contact_width, narrow": (COULOMB, False, {"contact_width": {"width_m": 5e-4}}),
     "load_transfer": (COULOMB, False, {"load_transfer": {"centre_of_mass_height_m": 0.06}}),
     "load_transfer, motors": (COULOMB, True, {"load_transfer": {"centre_of_mass_height_m": 0.06}}),
 }
@@ -41,10 +42,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--spin", type=float, default=10.0)
     parser.add_argument("--finest", type=float, default=1e-9)
+    parser.add_argument("--only", default="", help="cases whose names have this in them")
     asked = parser.parse_args()
     print(METHOD.format(seeds=asked.seeds, span=SPAN_S, spin=asked.spin, finest=asked.finest))
     print(f"{'':22} {'tolerance':>9} {'off: median':>12} {'worst':>9} {'steps':>8} {'time, s':>9}")
     for name, (law, motors, others) in CASES.items():
+        if asked.only not in name:
+            continue
         known: dict[int, Floats] = {}
         for tolerance in (asked.finest, *TOLERANCES):
             off: list[float] = []
