@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast, final
+from typing import TYPE_CHECKING, Any, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,10 @@ from deploy.recordings.format import (
 )
 from deploy.recordings.trace import RunTrace, mask_absent
 from deploy.util.formatting import plural
+
+if TYPE_CHECKING:
+    from deploy.recordings.quantities import RecordedTractions
+    from plant.analysis.tractions import ArrayTractions
 
 
 @final
@@ -190,6 +194,31 @@ class Recording:
         state = self.parcels[:, number]
         events = [event for event in self.events if event.get("parcel") == number]
         return ParcelTrace(self.time_s, state[:, :2], state[:, 2], state[:, 3:5], state[:, 5], events)
+
+    @cached_property
+    def _recorded_tractions(self) -> RecordedTractions:
+        from deploy.recordings.quantities import RecordedTractions
+
+        try:
+            return RecordedTractions(self.header, self.events, self.faults)
+        except (ValueError, LookupError, TypeError) as error:
+            raise InputError(f"{self.path}: its scene is not one of this version: {error}") from error
+
+    def tractions(self, instant: int) -> ArrayTractions:
+        """Compute the loads on the cells, and the slips and tractions of the wheels, at one instant.
+
+        The values are computed from the recorded states and wheel speeds by the scene's law and effects; see
+        ``plant.analysis.tractions``.
+
+        Args:
+            instant: Row of ``time_s``; negative ones count from the end.
+
+        Raises:
+            InputError: The scene of the recording is not one of this version.
+        """
+        return self._recorded_tractions.at(
+            float(self.time_s[instant]), self.parcels[instant], self.held_wheel_speeds.at(instant)
+        )
 
     def __repr__(self) -> str:
         seconds = float(self.time_s[-1]) if len(self.tick) else 0.0
