@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from deploy.errors import DeployError, InputError
     from deploy.live.client import LiveRun
     from deploy.live.frame import RunFrame
+    from deploy.recordings.info import RecordingInfo, recording_info
     from deploy.recordings.reader import CellTrace, ParcelTrace, Recording
     from deploy.recordings.reader import load as load_recording
     from deploy.runs.backends import CellsBackend, InProcess, Workers
@@ -76,6 +77,7 @@ __all__ = [
     "Problem",
     "Program",
     "Recording",
+    "RecordingInfo",
     "RunFrame",
     "RunResult",
     "ScalarProgram",
@@ -91,6 +93,7 @@ __all__ = [
     "Workers",
     "load_recording",
     "load_scene",
+    "recording_info",
     "scalar_function",
     "scene_names",
 ]
@@ -107,6 +110,7 @@ _MODULES: Final = {
     "deploy.errors": ("DeployError", "InputError"),
     "deploy.live.client": ("LiveRun",),
     "deploy.live.frame": ("RunFrame",),
+    "deploy.recordings.info": ("RecordingInfo", "recording_info"),
     "deploy.recordings.reader": ("CellTrace", "ParcelTrace", "Recording", "load_recording=load"),
     "deploy.runs.backends": ("CellsBackend", "InProcess", "Workers"),
     "deploy.runs.result": ("RunResult",),

@@ -20,6 +20,7 @@ COMMANDS = {
     "constants": "Print the constants of motion of a pose: equilibrium, loads, torque.",
     "fault": "Inject a fault into a running system, or repair a fault.",
     "effects": "Show additions, cost and influence of every effect; a ladder of fidelity.",
+    "info": "Print the contents of a recording.",
     "keys": "Make certificates and permissions of a run's processes.",
     "orientations": "Compute the angles at which a parcel comes to rest, exactly; maps over sizes.",
     "plot": "Plot a recording.",

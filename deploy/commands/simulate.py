@@ -17,7 +17,7 @@ def simulate(scene_options: SceneOptions, *, step: StepOption = None) -> None:
     """Simulate a scene without cells: wheel speeds straight from its velocity field.
 
     This is the simulator of the papers: ideal wheels run at the field's speed from the start. The scene's firmware
-    must be velocity_field. Writes summary.json and overview.png to the output folder.
+    must be velocity_field. Writes recording.mcap, summary.json and overview.png to the output folder.
 
     At a fine tolerance; with the papers' own loop; with SciPy:
 

@@ -61,6 +61,11 @@ def _object(properties: dict[str, Any], required: list[str]) -> dict[str, Any]:
     return {"type": "object", "properties": properties, "required": required}
 
 
+def _said(description: str, kind: str | list[str] = "number") -> dict[str, Any]:
+    return {"type": kind, "description": description}
+
+
+_TIME_S = _said("simulated time, s")
 _NUMBER = {"type": ["number", "null"]}
 _POINT = {"type": "array", "items": {"type": "number"}}
 
@@ -72,10 +77,11 @@ _CELL = {"type": "array", "items": {"type": "integer"}}
 SCHEMAS: dict[str, dict[str, Any]] = {
     PARCELS: _object(
         {
-            "tick": {"type": "integer"},
-            "time_s": {"type": "number"},
+            "tick": _said("number of the tick, from 0; the state at its start", "integer"),
+            "time_s": _TIME_S,
             "parcels": {
                 "type": "array",
+                "description": "entries in the order of the scene; names end with the unit; null: not finite",
                 "items": _object(dict.fromkeys(PARCEL_NUMBERS, _NUMBER), list(PARCEL_NUMBERS)),
             },
         },
@@ -83,10 +89,10 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     ),
     EVENTS: _object(
         {
-            "time_s": {"type": "number"},
+            "time_s": _TIME_S,
             "kind": {"type": "string"},
-            "parcel": {"type": ["integer", "null"]},
-            "cells": {"type": "array", "items": _CELL},
+            "parcel": _said("number of the parcel, from 0", ["integer", "null"]),
+            "cells": {"type": "array", "items": _CELL, "description": "[row, column] of each cell"},
             "position_m": {"anyOf": [_POINT, {"type": "null"}]},
             "detail": {},
         },
@@ -94,27 +100,91 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     ),
     FAULTS: _object(
         {
-            "time_s": {"type": "number"},
+            "time_s": _TIME_S,
             "kind": {"type": "string"},
+            "tick": _said("tick from which it acts", "integer"),
             "cell": {"anyOf": [_CELL, {"type": "null"}]},
             "phase": {"enum": ["begins", "happens", "ends"]},
             "cells": {"type": "array", "items": _CELL},
-            "number": {"type": "integer"},
+            "number": _said("number of the fault, alike in its begin and its end", "integer"),
+            "fault": _said("the fault as a scene gives it", "object"),
             "detail": {},
         },
         ["time_s", "kind"],
     ),
-    CONTROL: _object(
-        {"time_s": {"type": "number"}, "kind": {"type": "string"}, "detail": {}}, ["time_s", "kind"]
-    ),
+    CONTROL: _object({"time_s": _TIME_S, "kind": {"type": "string"}, "detail": {}}, ["time_s", "kind"]),
     END: _object(
         {
             "status": {"type": "string"},
             "ticks": {"type": "integer"},
-            "time_s": {"type": "number"},
-            "digest": {"type": ["string", "null"]},
+            "time_s": _TIME_S,
+            "digest": _said("chained SHA-256 of the run, hexadecimal", ["string", "null"]),
         },
         ["status", "ticks", "time_s", "digest"],
     ),
 }
 """JSON Schema of every JSON topic; other keys are allowed and preserved."""
+
+_BINARY = (
+    "A message is a MessagePack map (https://msgpack.org). A value with the keyword ndarray is a MessagePack binary: "
+    "the elements of an array in row-major order, with dtype in NumPy's notation. With bits = little an element is a "
+    "bit: element i is bit i mod 8 of byte i div 8."
+)
+
+
+def _ndarray(dtype: str, shape: list[int], description: str, **more: str) -> dict[str, Any]:
+    return {"description": description, "ndarray": {"dtype": dtype, "shape": shape, **more}}
+
+
+def binary_schemas(header: Header) -> dict[str, dict[str, Any]]:
+    """JSON Schema of every MessagePack topic, for the array and the parcels of a header.
+
+    JSON Schema has no binary type. Readers of the schema find it by the keyword ``ndarray``, which is explained in the
+    schema's description and which validators ignore.
+    """
+    cells, sensors, parcels = len(header["cells"]), len(header["sensors_m"]), len(header["footprints_m"])
+    tick = _object(
+        {
+            "tick": _said("number of the tick, from 0; the state at its start", "integer"),
+            "presence": _ndarray(
+                "|b1", [cells, sensors], "whether each presence sensor of a cell is covered", bits="little"
+            ),
+            "drives": _ndarray(
+                "<f8",
+                [cells, 2],
+                "commands of the wheels along x and y from this instant on: m/s, or volts with motors",
+            ),
+            "wheel_speeds": _ndarray(
+                "<f8", [cells, 2], "surface speeds of the wheels along x and y at this instant, m/s"
+            ),
+            "parcels": _ndarray("<f8", [parcels, 6], "x, y (m), angle (rad), and their rates per second"),
+            "end": {"const": True, "description": "in the last message, which has no drives"},
+        },
+        ["tick"],
+    )
+    registers = _object(
+        {
+            "tick": _said("number of the tick after which the registers were read", "integer"),
+            "registers": {
+                "type": "object",
+                "description": "by name of the register",
+                "additionalProperties": {
+                    "type": "array",
+                    "description": "dtype in NumPy's notation, shape, and the elements as a MessagePack binary",
+                    "prefixItems": [
+                        {"type": "string"},
+                        {"type": "array", "items": {"type": "integer"}, "description": "cells first"},
+                        {},
+                    ],
+                    "minItems": 3,
+                    "maxItems": 3,
+                },
+            },
+        },
+        ["tick", "registers"],
+    )
+    absent = " A key that is absent has the value of the message before."
+    return {
+        TICK: {"description": _BINARY + absent, **tick},
+        REGISTERS: {"description": _BINARY, **registers},
+    }

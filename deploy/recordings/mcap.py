@@ -11,7 +11,7 @@ from typing import Any, cast, final
 import msgpack  # pyright: ignore[reportMissingTypeStubs]
 from mcap.writer import CompressionType, Writer
 
-from deploy.recordings.format import FORMAT, HEADER_RECORD, PROFILE, REGISTERS, SCHEMAS, TICK, Header
+from deploy.recordings.format import FORMAT, HEADER_RECORD, PROFILE, SCHEMAS, Header, binary_schemas
 
 
 @final
@@ -22,6 +22,7 @@ class McapFile:
         path: File to make or replace.
         header: Written and flushed at once, outside the chunks, so that it survives anything later.
         chunk_bytes: Size at which a chunk is closed without a request.
+        schemas: JSON Schema of every MessagePack topic; None: those of the header.
 
     Attributes:
         channels: Number of each topic's channel.
@@ -31,7 +32,14 @@ class McapFile:
         OSError: From any method, as the operating system has it.
     """
 
-    def __init__(self, path: Path, header: Header, chunk_bytes: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        header: Header,
+        chunk_bytes: int,
+        *,
+        schemas: Mapping[str, dict[str, Any]] | None = None,
+    ) -> None:
         self._stream = path.open("wb")
         try:
             # The library's default is 1 MB: at 18 cells minutes would pass before anything reached the file.
@@ -42,18 +50,18 @@ class McapFile:
         except OSError:
             self.abandon()
             raise
+        binary = binary_schemas(header) if schemas is None else schemas
         self.channels: Mapping[str, int] = {
-            TICK: self._writer.register_channel(TICK, "msgpack", 0),
-            REGISTERS: self._writer.register_channel(REGISTERS, "msgpack", 0),
-            **{topic: self._json_channel(topic, schema) for topic, schema in SCHEMAS.items()},
+            **{topic: self._channel(topic, "msgpack", schema) for topic, schema in binary.items()},
+            **{topic: self._channel(topic, "json", schema) for topic, schema in SCHEMAS.items()},
         }
         packer = cast(Any, msgpack.Packer())  # pyright: ignore[reportUnknownMemberType]
         self.pack = cast(Callable[[Mapping[str, Any]], bytes], packer.pack)
 
-    def _json_channel(self, topic: str, schema: dict[str, Any]) -> int:
+    def _channel(self, topic: str, encoding: str, schema: dict[str, Any]) -> int:
         name = "mdms." + topic.removeprefix("/")
         number = self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
-        return self._writer.register_channel(topic, "json", number)
+        return self._writer.register_channel(topic, encoding, number)
 
     def add(self, channel: int, time_ns: int, data: bytes) -> None:
         """Add a message; it reaches the file with its chunk."""

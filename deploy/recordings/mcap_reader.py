@@ -9,14 +9,15 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, cast
+from typing import Any, BinaryIO, NamedTuple, cast, final
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Header, Metadata
+from mcap.records import Channel, Chunk, Header, Metadata, Schema
 
 from deploy.errors import InputError
 
@@ -43,18 +44,28 @@ class Note(NamedTuple):
     values: dict[str, str]
 
 
-def scan(path: Path, profile: str) -> Iterator[Message | Note]:
+@final
+@dataclass(frozen=True, slots=True)
+class Declarations:
+    """Channels and schemas that a file declares, by their numbers; filled while the file is scanned."""
+
+    channels: dict[int, Channel] = field(default_factory=dict[int, Channel])
+    schemas: dict[int, Schema] = field(default_factory=dict[int, Schema])
+
+
+def scan(path: Path, profile: str, declared: Declarations | None = None) -> Iterator[Message | Note]:
     """Yield messages and metadata in the order of the file, up to its end or its cut.
 
     Args:
         path: The file.
         profile: The profile its header must name.
+        declared: Filled with the channels and schemas that are declared in the part that was scanned.
 
     Raises:
         InputError: The file is no MCAP file of this profile, or corrupt before its end.
         OSError: The file can't be read.
     """
-    topics: dict[int, str] = {}
+    declared = Declarations() if declared is None else declared
     with path.open("rb") as stream:
         magic = stream.read(len(MAGIC))
         if magic != MAGIC[: len(magic)]:
@@ -64,13 +75,13 @@ def scan(path: Path, profile: str) -> Iterator[Message | Note]:
                 if opcode == Opcode.HEADER:
                     _check_profile(path, content, profile)
                 elif opcode == Opcode.CHUNK:
-                    yield from _messages(_unpack(content), topics)
+                    yield from _messages(_unpack(content), declared)
                 elif opcode == Opcode.METADATA:
                     yield _note(content)
                 elif opcode == Opcode.DATA_END:
                     return
                 else:
-                    yield from _messages(((opcode, content),), topics)
+                    yield from _messages(((opcode, content),), declared)
             except (ValueError, LookupError, RuntimeError, McapError, struct.error) as error:
                 raise InputError(f"{path} is corrupt: record at byte {offset}: {error}") from error
 
@@ -135,15 +146,18 @@ def _zstd(packed: bytes, size: int) -> bytes:
     return bytes(data)
 
 
-def _messages(records: Iterable[tuple[int, bytes]], topics: dict[int, str]) -> Iterator[Message]:
-    """Yield the messages among records, and add declared channels to ``topics``."""
+def _messages(records: Iterable[tuple[int, bytes]], declared: Declarations) -> Iterator[Message]:
+    """Yield the messages among records, and keep what else the records declare."""
     for opcode, content in records:
         if opcode == Opcode.MESSAGE:
             channel, _, time_ns, _ = _MESSAGE.unpack_from(content)
-            yield Message(topics[channel], time_ns, content[_MESSAGE.size :])
+            yield Message(declared.channels[channel].topic, time_ns, content[_MESSAGE.size :])
         elif opcode == Opcode.CHANNEL:
-            declared = Channel.read(ReadDataStream(BytesIO(content)))
-            topics[declared.id] = declared.topic
+            found = Channel.read(ReadDataStream(BytesIO(content)))
+            declared.channels[found.id] = found
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(ReadDataStream(BytesIO(content)))
+            declared.schemas[schema.id] = schema
 
 
 def _note(content: bytes) -> Note:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, final
+from typing import TYPE_CHECKING, Any, TypeVar, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,11 @@ from deploy.recordings.trace import RunTrace, mask_absent
 from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
+    from deploy.recordings.mcap_reader import Note
     from deploy.recordings.quantities import RecordedTractions
     from plant.analysis.tractions import ArrayTractions
+
+_Read = TypeVar("_Read")
 
 
 @final
@@ -262,13 +265,26 @@ def load(path: str | Path) -> Recording:
         InputError: There is no such file, it is no recording, it is corrupt before its end, or it was cut
             before it said what it is a recording of.
     """
+    return refusing_corruption(path, _load)
+
+
+def refusing_corruption(path: str | Path, read: Callable[[Path], _Read]) -> _Read:
+    """Return what ``read`` returns of a recording, with errors that name the file and the cause.
+
+    Args:
+        path: The file, or the output folder it is in.
+        read: Takes the file.
+
+    Raises:
+        InputError: There is no such file, it can't be read, or it is corrupt.
+    """
     path = Path(path)
     if path.is_dir():
         if not (path / FILE_NAME).exists():
-            raise InputError(f"there is no {FILE_NAME} in {path}; mdms simulate writes none")
+            raise InputError(f"there is no {FILE_NAME} in {path}")
         path = path / FILE_NAME
     try:
-        return _load(path)
+        return read(path)
     except OSError as error:
         raise InputError(f"can't read the recording {path}: {error.strerror or error}") from error
     except (ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
@@ -294,8 +310,8 @@ def _load(path: Path) -> Recording:
                 shown.append(_map(unpack(record.data)))
             elif record.topic in logs:
                 logs[record.topic].append(json.loads(record.data))
-        elif record.name == HEADER_RECORD:
-            header = _header(path, record.values)
+        else:
+            header = decode_header(path, record) or header
     if header is None:
         raise InputError(f"can't read the recording {path}: it holds no complete header")
     status, digest = check_end(logs[END][-1]) if logs[END] else (None, None)
@@ -341,8 +357,16 @@ def _rails(scene: dict[str, Any]) -> Sequence[Sequence[tuple[float, float]]]:
     return contact.get("rails", ())
 
 
-def _header(path: Path, values: dict[str, str]) -> Header:
-    """Decode and check the header."""
+def decode_header(path: Path, record: Note) -> Header | None:
+    """Decode and check the header; None if the metadata record is another.
+
+    Raises:
+        InputError: The recording has another format, or fields are absent.
+        ValueError: A field has the wrong type.
+    """
+    if record.name != HEADER_RECORD:
+        return None
+    values = record.values
     if values.get("format") != str(FORMAT):
         raise InputError(
             f"{path} is a recording of format {values.get('format')}: this version reads format {FORMAT}"
@@ -400,9 +424,10 @@ class _Rows:
     def _bits(self, name: str, shape: tuple[int, int]) -> ChangeEncoded:
         width = shape[0] * shape[1]
         size = (width + 7) // 8
-        rows = np.frombuffer(b"".join(self._joined(name, size)), dtype=np.uint8).reshape(-1, size)
+        joined = self._joined(name, size)
+        rows = np.frombuffer(b"".join(joined), dtype=np.uint8).reshape(len(joined), size)
         bits = np.unpackbits(rows, axis=1, count=width, bitorder="little")
-        return self._held(name, bits.astype(np.bool_).reshape(-1, *shape))
+        return self._held(name, bits.astype(np.bool_).reshape(len(joined), *shape))
 
     def _joined(self, name: str, size: int) -> list[bytes]:
         """Return the written values of a field; one zero value for drives in a run of no ticks."""

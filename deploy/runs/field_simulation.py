@@ -17,7 +17,16 @@ from deploy.recordings.digest import Digest
 from deploy.recordings.mishaps import Mishaps
 from deploy.recordings.run_log import event_record
 from deploy.recordings.trace import RunTrace, mask_absent
-from deploy.runs.output import draw_run_overview, exits, parcel_outcomes, validity
+from deploy.recordings.trajectory import TrajectoryRecorder
+from deploy.recordings.writer import Recorder
+from deploy.runs.output import (
+    draw_run_overview,
+    exits,
+    parcel_outcomes,
+    recording_header,
+    run_name,
+    validity,
+)
 from deploy.runs.output_folder import output_folder
 from deploy.runs.result import status_of
 from deploy.runs.setup import load_plant, report_warnings
@@ -65,7 +74,7 @@ def simulate(
 
     Args:
         scene: What to simulate; its firmware must be ``velocity_field``.
-        output: Folder for summary and picture; None: a new one under ``runs/``.
+        output: Folder for recording, summary and picture; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
         quiet: Show no progress and no warnings on stderr.
         interruption: The caller's, where it watches for signals itself.
@@ -105,6 +114,7 @@ def iterate_field_motion(
     *,
     check: Callable[[], None],
     fell: Callable[[int, Sequence[int]], None] | None = None,
+    driven: Callable[[Floats], None] | None = None,
     samples: int = SLICE,
 ) -> Iterator[Trajectory]:
     """The trajectory of a plant under the field, from the start to the end, a sample a control period.
@@ -118,6 +128,7 @@ def iterate_field_motion(
         speeds: ``(n, 2)`` of the wheels, m/s.
         check: Called before every part; may raise.
         fell: Told when faults begin or end: the tick, and who died in it for good or under ``abort``.
+        driven: Called before every part with the drives of the part, ``(n, 2)``, m/s.
         samples: Of a part, at most.
 
     Raises:
@@ -136,6 +147,8 @@ def iterate_field_motion(
         while now_ns < until_ns:
             check()
             drives = undriven.override_drives(speeds)
+            if driven is not None:
+                driven(drives)
             try:
                 part = plant.trajectory(drives, min(now_ns + samples * period_ns, until_ns), period_ns)
             except PlantHalted as halted:
@@ -181,8 +194,9 @@ class _FieldSimulation:
         self.time_ns = 0
         self.digest = Digest(b"simulate " + self.scene.canonical())
         self.ticks = 0
-        self.digest_s = 0.0
-        """Wall time that the digest took so far, which counts for nothing in the speed of the simulation."""
+        self.aside_s = 0.0
+        """Wall time of digest and recording so far, which counts for nothing in the speed of the simulation."""
+        self._recording: TrajectoryRecorder | None = None
         self.warnings: tuple[str, ...] = ()
 
     def go(self, output: Path | None, *, picture: bool) -> Outcome:
@@ -206,8 +220,14 @@ class _FieldSimulation:
         for fault in cell_only_faults(self.named):
             self._warn(f"{fault} is left out: mdms simulate has no cells")
         self.interruption.raise_if_requested()
-        with output_folder(self.named, output, self._warn, recorded=False) as folder:
-            return Outcome(self._simulated(plant, speeds, folder, picture=picture))
+        with output_folder(self.named, output, self._warn) as folder:
+            header = recording_header(
+                run_name(self.named, "simulate"), self.scene, plant.array, plant.footprints_m
+            )
+            header["scene_name"], header["sensors_m"] = self.named.name, []
+            with Recorder(folder, header) as recorder:
+                self._recording = TrajectoryRecorder(recorder, len(plant.array))
+                return Outcome(self._simulated(plant, speeds, folder, picture=picture))
 
     def _simulated(self, plant: Plant, speeds: Floats, folder: Path, *, picture: bool) -> Summary:
         """Simulate, and leave what came of it in the folder."""
@@ -221,35 +241,49 @@ class _FieldSimulation:
                 self._end(
                     status_of(error), f"{error}; the trajectory up to {self.time_ns * 1e-9:g} s is valid"
                 )
-        wall_s = time.monotonic() - started - self.digest_s
+        wall_s = time.monotonic() - started - self.aside_s
         summary = self._summary(plant, folder, wall_s, started - self.begun)
+        self.recording.close(self.status, self.digest.hexdigest)
         summary.write(folder)
         if picture and self.status != "interrupted":
             track = self._track(plant)
             summary = draw_run_overview(summary, lambda: track, folder, self.interruption)
         return summary
 
+    @property
+    def recording(self) -> TrajectoryRecorder:
+        """Recording of the simulation."""
+        assert self._recording is not None, "this is a bug: the simulation has begun without its recording"
+        return self._recording
+
     # --- the simulation itself --------------------------------------------------------------------
 
     def _advance(self, plant: Plant, speeds: Floats, progress: Progress) -> None:
         """Run from death to death and to the end, in slices; sets samples, events and status."""
-        self._add(np.zeros(1, dtype=np.int64), plant.state[None])
+        self._add(np.zeros(1, dtype=np.int64), plant.state[None], plant.wheel_speed)
         mishaps = Mishaps(progress.say)
         for part in iterate_field_motion(
-            self.scene, plant, speeds, check=self.interruption.raise_if_requested, fell=self._on_transition
+            self.scene,
+            plant,
+            speeds,
+            check=self.interruption.raise_if_requested,
+            fell=self._on_transition,
+            driven=self.recording.drive,
         ):
-            self._take(part, progress)
+            self._take(part, plant.wheel_speed, progress)
             mishaps.take(part.events)
 
-    def _take(self, part: Trajectory, progress: Progress) -> None:
-        self._add(part.time_ns[1:], part.state[1:])
+    def _take(self, part: Trajectory, wheel_speed: Floats, progress: Progress) -> None:
+        self._add(part.time_ns[1:], part.state[1:], wheel_speed)
         self.events += part.events
+        for event in part.events:
+            self.recording.event(event_record(event))
         self.time_ns = int(part.time_ns[-1])
         progress.events = len(self.events)
         progress.update(self.ticks, self.time_ns)
 
-    def _add(self, time_ns: NDArray[np.int64], states: Floats) -> None:
-        """Keep samples, and add them to the digest: there are no senses and no drives to cover."""
+    def _add(self, time_ns: NDArray[np.int64], states: Floats, wheel_speed: Floats) -> None:
+        """Keep samples, record them, and add them to the digest: there are no senses and no drives to cover."""
         self.times.append(time_ns)
         self.states.append(states)
         begun = time.monotonic()
@@ -258,19 +292,21 @@ class _FieldSimulation:
         for state in states:
             self.digest.tick(self.ticks, nothing, none, state)
             self.ticks += 1
-        self.digest_s += time.monotonic() - begun
+        self.recording.rows(time_ns, states, wheel_speed)
+        self.aside_s += time.monotonic() - begun
 
     def _on_transition(self, tick: int, dead: Sequence[int]) -> None:
         """Note what begins or ends now, as the scene says, and who dies."""
         names, period_ns = self.scene.lattice().cells, self.scene.tick_ns
         at_s, ended = tick * period_ns * 1e-9, bool(dead) and self.scene.stall.policy == "abort"
         turning = () if ended else (one for one in self.lasting if tick in (one.start_tick, one.end_tick))
-        self.faults += [transition_record(one, tick, period_ns, names) for one in turning]
+        found = [transition_record(one, tick, period_ns, names) for one in turning]
         for cell in dead:
             self.cells_lost.append(names[cell])
-            self.faults.append(
-                {"time_s": at_s, "kind": "crash", "cell": list(names[cell]), "detail": "scheduled"}
-            )
+            found.append({"time_s": at_s, "kind": "crash", "cell": list(names[cell]), "detail": "scheduled"})
+        self.faults += found
+        for fault in found:
+            self.recording.fault(fault)
         if ended:
             self._end("failed", crash_aborts(names[dead[0]], at_s))
 

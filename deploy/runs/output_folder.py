@@ -13,7 +13,6 @@ from deploy.errors import InputError
 from deploy.plots.overview import FILE_NAME as PICTURE
 from deploy.protocol_report.report import CSV as PROTOCOL_CSV
 from deploy.protocol_report.report import PICTURE as PROTOCOL_PICTURE
-from deploy.recordings.format import FILE_NAME as RECORDING
 from deploy.runs.output import run_name
 from deploy.util.files import SUMMARY
 from deploy.util.output_lock import locked_folder, new_folder
@@ -23,9 +22,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def output_folder(
-    scene: Scene, wanted: Path | None, warn: Callable[[str], None], *, recorded: bool = True
-) -> Generator[Path]:
+def output_folder(scene: Scene, wanted: Path | None, warn: Callable[[str], None]) -> Generator[Path]:
     """Make the output folder of a run, locked inside the context.
 
     Results of an earlier run are removed: after an interruption they could be mistaken for this run's.
@@ -34,7 +31,6 @@ def output_folder(
         scene: Gives the default its name: ``runs/SCENE-YYYYmmdd-HHMMSS``, numbered where that exists.
         wanted: The requested folder; may exist.
         warn: Told, in one line, that the folder can't be locked.
-        recorded: Whether the run replaces the recording itself; else that is removed, too.
 
     Raises:
         InputError: The folder can't be made or written to, or another process writes there.
@@ -44,8 +40,6 @@ def output_folder(
         # The checkpoints go first: whenever this is cut short, those that are left have their recording.
         CheckpointStore(folder).clear()
         remove_results(folder)
-        if not recorded:
-            _remove(folder, RECORDING)
         yield folder
 
 

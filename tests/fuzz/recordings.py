@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from deploy.errors import InputError
-from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, REGISTERS, TICK, Header
+from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, REGISTERS, TICK, Header, binary_schemas
 from deploy.recordings.mcap import McapFile
 from deploy.recordings.reader import Recording, load
 from deploy.recordings.writer import Recorder
@@ -92,7 +92,8 @@ class SpoiltMessages:
     def next(self) -> Path:
         """One of them."""
         self._number += 1
-        file = McapFile(self._path, self._spoilt_header() if self._number % 3 == 0 else HEADER, 1 << 18)
+        header = self._spoilt_header() if self._number % 3 == 0 else HEADER
+        file = McapFile(self._path, header, 1 << 18, schemas=binary_schemas(HEADER))
         for i, (topic, time_ns, data) in enumerate(self._messages):
             # Another message of each file is spoilt.
             if topic in self._mutators and i % len(self._messages) == self._number % len(self._messages):

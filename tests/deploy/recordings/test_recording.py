@@ -9,14 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 from deploy.errors import DeployError, InputError
 from deploy.recordings.digest import Digest
-from deploy.recordings.format import PARCELS, SCHEMAS, Header
+from deploy.recordings.format import PARCELS, Header
 from deploy.recordings.reader import Recording, load
 from deploy.recordings.writer import Recorder
 
@@ -146,21 +145,6 @@ def test_the_library_s_own_reader_reads_a_closed_recording(tmp_path: Path, made_
         for _, _, message in messages
     ]
     np.testing.assert_array_equal(np.array(states), run.states)
-
-
-def test_every_json_message_obeys_the_schema_in_the_file(tmp_path: Path, made_up_run: Make) -> None:
-    run = made_up_run(
-        parcels=2,
-        events=[{"time_s": 0.0, "kind": "tipped", "parcel": 1, "cells": [], "position_m": [0.0, 1.0]}],
-        faults=[{"time_s": 0.0, "kind": "crash", "cell": [0, 0]}],
-    )
-    seen = set()
-    with run.record(tmp_path).open("rb") as stream:
-        for schema, channel, message in make_reader(stream).iter_messages():
-            if schema is not None:
-                jsonschema.validate(json.loads(message.data), json.loads(schema.data))
-                seen.add(channel.topic)
-    assert seen == set(SCHEMAS) - {"/control"}
 
 
 def test_a_number_that_is_not_finite_is_null_for_json_and_itself_for_us(

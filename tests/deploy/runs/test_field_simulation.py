@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from deploy.cli import main
 from deploy.errors import InputError
 from deploy.recordings.digest import Digest
-from deploy.runs.field_simulation import field_speeds, simulate, without_cells
+from deploy.recordings.reader import load as load_recording
+from deploy.runs.field_simulation import field_speeds, iterate_field_motion, simulate, without_cells
 from deploy.runs.run import run
 from deploy.scenes.fault_schedule import active
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
+from deploy.util.signals import Interrupted
 from deploy.workers.plan import RunOptions
 from plant.array import CellArray
 
@@ -185,6 +187,54 @@ def test_the_digest_is_taken_while_the_simulation_can_be_interrupted(
     summary = simulate(scene, output=tmp_path, picture=False, quiet=True).summary
     assert summary.status == "interrupted"
     assert 0.0 < summary.simulated_s < 50.0
+
+
+def test_a_simulation_is_recorded_sample_by_sample(tmp_path: Path) -> None:
+    pulled = {"kind": "remove", "at_s": 0.5, "cell": [10, 10], "until_s": 1.0}
+    stuck = {"kind": "wheel_stuck", "at_s": 0.7, "cell": [9, 9]}
+    crash = {"kind": "crash", "at_s": 0.3, "cell": [12, 12], "wheels": "brake"}
+    scene = _scene("elliptic", duration_s=1.2, faults=[pulled, stuck, crash])
+    summary = simulate(scene, output=tmp_path, picture=False, quiet=True).summary
+    recording = load_recording(tmp_path)
+    assert (recording.status, recording.digest) == ("ok", summary.digest)
+    assert len(recording.tick) == summary.ticks + 1
+    assert recording.time_ns[-1] == 1_200_000_000
+    digest = Digest(b"simulate " + without_cells(scene).canonical())
+    for tick, state in enumerate(recording.parcels):
+        digest.tick(tick, np.zeros((0, 1), dtype=np.bool_), np.zeros((0, 2)), state)
+    assert digest.hexdigest == summary.digest
+    assert list(recording.faults) == list(json.loads(json.dumps(summary.faults)))
+    assert recording.presence.shape == (len(recording.tick), 400, 0)
+    cells, field = recording.header["cells"], field_speeds(scene, CellArray(scene.array).positions_m)
+    dead = cells.index([12, 12])
+    row = int(np.searchsorted(recording.time_s, 0.3))
+    assert np.array_equal(recording.drives[row - 1], field)
+    # a crash acts from the first tick that begins at or after its time, on the drives of that instant
+    assert np.all(recording.drives[row, dead] == 0.0)
+    assert np.array_equal(np.delete(recording.drives[row], dead, axis=0), np.delete(field, dead, axis=0))
+    assert np.array_equal(recording.wheel_speeds[row, dead], field[dead])
+    assert np.all(recording.wheel_speeds[row + 1, dead] == 0.0)
+    assert np.all(recording.wheel_speeds[-1, cells.index([9, 9])] == 0.0)
+    assert {event["kind"] for event in recording.events} >= {"support_gained", "support_lost"}
+
+
+def test_an_interrupted_simulation_leaves_a_recording_up_to_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupting(*args: Any, **settings: Any) -> Any:
+        for number, part in enumerate(iterate_field_motion(*args, **settings)):
+            if number == 2:
+                raise Interrupted
+            yield part
+
+    monkeypatch.setattr("deploy.runs.field_simulation.iterate_field_motion", interrupting)
+    summary = simulate(
+        _scene("elliptic", duration_s=100.0), output=tmp_path, picture=False, quiet=True
+    ).summary
+    recording = load_recording(tmp_path)
+    assert recording.status == summary.status == "interrupted"
+    assert len(recording.tick) == summary.ticks + 1 == 2001
+    assert float(recording.time_s[-1]) == summary.simulated_s
 
 
 def test_the_same_simulation_has_the_same_digest(tmp_path: Path) -> None:

@@ -36,17 +36,16 @@ def test_the_default_folder_is_new_each_time(tmp_path: Path, monkeypatch: pytest
     assert all(re.fullmatch(r"runs/elliptic-\d{8}-\d{6}(-\d)?", str(folder)) for folder in folders)
 
 
-@pytest.mark.parametrize("recorded", [True, False], ids=["run", "simulate"])
-def test_a_folder_used_again_loses_the_results_of_the_run_before(tmp_path: Path, recorded: bool) -> None:
-    """A run replaces the recording itself; a simulation has none."""
+def test_a_folder_used_again_loses_the_results_of_the_run_before(tmp_path: Path) -> None:
+    """The recording stays until the recorder replaces it."""
     for name in (
         *("summary.json", "overview.png", "notes.txt", "recording.mcap", "protocol.csv", "protocol.png"),
         *("checkpoint.msgpack", "checkpoint-before.msgpack", ".checkpoint.msgpack.draft", ".x.png.77.draft"),
     ):
         (tmp_path / name).write_text("old")
-    with output_folder(load_scene("elliptic"), tmp_path, _no_warning, recorded=recorded) as folder:
+    with output_folder(load_scene("elliptic"), tmp_path, _no_warning) as folder:
         assert folder == tmp_path
-        left = {".mdms.lock", "notes.txt", *(["recording.mcap"] if recorded else [])}
+        left = {".mdms.lock", "notes.txt", "recording.mcap"}
         assert {path.name for path in tmp_path.iterdir()} == left
     assert {path.name for path in tmp_path.iterdir()} == left - {".mdms.lock"}
 
