@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from deploy.errors import DeployError, InputError
     from deploy.live.client import LiveRun
     from deploy.live.frame import RunFrame
+    from deploy.recordings.exports.registry import export_recording
     from deploy.recordings.info import RecordingInfo, recording_info
     from deploy.recordings.reader import CellTrace, ParcelTrace, Recording
     from deploy.recordings.reader import load as load_recording
@@ -91,6 +92,7 @@ __all__ = [
     "TickRecord",
     "Vector",
     "Workers",
+    "export_recording",
     "load_recording",
     "load_scene",
     "recording_info",
@@ -110,6 +112,7 @@ _MODULES: Final = {
     "deploy.errors": ("DeployError", "InputError"),
     "deploy.live.client": ("LiveRun",),
     "deploy.live.frame": ("RunFrame",),
+    "deploy.recordings.exports.registry": ("export_recording",),
     "deploy.recordings.info": ("RecordingInfo", "recording_info"),
     "deploy.recordings.reader": ("CellTrace", "ParcelTrace", "Recording", "load_recording=load"),
     "deploy.runs.backends": ("CellsBackend", "InProcess", "Workers"),

@@ -18,6 +18,7 @@ COMMANDS = {
     "campaign": "Run a scene over seeds, faults and parameters: one table, one plot.",
     "control": "Pause, step, speed up, reset or stop a running system.",
     "constants": "Print the constants of motion of a pose: equilibrium, loads, torque.",
+    "export": "Write a recording in the formats of other tools: netCDF, Parquet, CSV, Foxglove.",
     "fault": "Inject a fault into a running system, or repair a fault.",
     "effects": "Show additions, cost and influence of every effect; a ladder of fidelity.",
     "info": "Print the contents of a recording.",

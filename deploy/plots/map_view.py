@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from deploy.faults.records import OUT, lost_for_good, out_of_array
 from deploy.recordings.trace import RunTrace
+from deploy.util.colours import colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8c6d00", "#332288", "#56b4e9")
-"""One a parcel, in turn: after Okabe and Ito, distinguished by colour-blind readers and on light grey."""
 
 INK = "#22272e"
 LOST = "#c1121f"
@@ -38,11 +36,6 @@ _OUTLINES = 9
 _FEW = 6
 _NARROW = 0.2
 """A view this many times as wide as high has room for one number below it."""
-
-
-def colour(parcel: int) -> str:
-    """Colour of a parcel in every part of the picture."""
-    return COLOURS[parcel % len(COLOURS)]
 
 
 def extent(track: RunTrace) -> tuple[float, float, float, float]:

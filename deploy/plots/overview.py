@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deploy.faults.records import plot_marks as marks_of
-from deploy.plots.map_view import LABEL, LOST, colour, event_annotations
+from deploy.plots.map_view import LABEL, LOST, event_annotations
 from deploy.plots.theme import DPI, draw_heading, write_picture
 from deploy.recordings.trace import RunTrace
+from deploy.util.colours import colour
 from deploy.util.formatting import plural
 
 if TYPE_CHECKING:

@@ -30,6 +30,10 @@ from deploy.recordings.trace import RunTrace, mask_absent
 from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
+    import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
+    import xarray
+
+    from deploy.recordings.exports.tables import TableName
     from deploy.recordings.mcap_reader import Note
     from deploy.recordings.quantities import RecordedTractions
     from plant.analysis.tractions import ArrayTractions
@@ -222,6 +226,29 @@ class Recording:
         return self._recorded_tractions.at(
             float(self.time_s[instant]), self.parcels[instant], self.held_wheel_speeds.at(instant)
         )
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return all values as a dataset with names, units and coordinates.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        from deploy.recordings.exports.dataset import to_xarray
+
+        return to_xarray(self)
+
+    def to_pandas(self, table: TableName = "parcels") -> pd.DataFrame:
+        """Return a table.
+
+        Args:
+            table: ``parcels``, with a row for each parcel at each instant; ``events``; ``faults``; or ``control``.
+
+        Raises:
+            InputError: pandas is not installed, or there is no such table.
+        """
+        from deploy.recordings.exports.tables import to_pandas
+
+        return to_pandas(self, table)
 
     def __repr__(self) -> str:
         seconds = float(self.time_s[-1]) if len(self.tick) else 0.0

@@ -44,6 +44,19 @@ def write_text(path: Path, text: str) -> None:
         draft.write_text(text, encoding="utf-8")
 
 
+def made_folder(folder: Path) -> Path:
+    """Make a folder with its parents, unless it is there.
+
+    Raises:
+        DeployError: It can't be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DeployError(f"can't make the folder {folder}: {error.strerror or error}") from error
+    return folder
+
+
 def sync_folder(folder: Path) -> None:
     """Have a folder's names, such as that of a file just renamed, survive a loss of power.
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deploy.plots.map_view import COLOURS
 from deploy.plots.theme import DPI, draw_heading, write_picture
+from deploy.util.colours import COLOURS
 from deploy.util.files import write_text
 from deploy.util.formatting import plural
 

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deploy.plots.map_view import INK, LABEL, colour, draw_map
+from deploy.plots.map_view import INK, LABEL, draw_map
 from deploy.plots.theme import DPI, draw_heading, write_picture
 from deploy.recordings.trace import RunTrace
+from deploy.util.colours import colour
 from deploy.util.formatting import format_point, plural
 from plant.analysis.static_supports import footprint
 

@@ -7,8 +7,9 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from deploy.plots.map_view import INK, colour
+from deploy.plots.map_view import INK
 from deploy.studies.accuracy.experiments.markdown import panels
+from deploy.util.colours import colour
 
 
 def draw(rows: Sequence[Any]) -> Figure:

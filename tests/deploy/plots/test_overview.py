@@ -14,10 +14,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from deploy.errors import DeployError
-from deploy.plots.map_view import RAIL, affected_cells, colour, event_annotations, extent
+from deploy.plots.map_view import RAIL, affected_cells, event_annotations, extent
 from deploy.plots.overview import draw_overview, draw_times
 from deploy.recordings.reader import load
 from deploy.recordings.trace import RunTrace
+from deploy.util.colours import colour
 from deploy.util.signals import Interrupted
 
 Make = Callable[..., Any]

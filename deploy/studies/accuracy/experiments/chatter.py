@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.plots.map_view import INK, colour
+from deploy.plots.map_view import INK
 from deploy.plots.theme import write_picture
 from deploy.studies.accuracy.experiments.markdown import (
     Section,
@@ -32,6 +32,7 @@ from deploy.studies.accuracy.experiments.runs import (
     run,
     scene_with,
 )
+from deploy.util.colours import colour
 from plant.array import CellArray
 
 if TYPE_CHECKING:

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from deploy.plots.map_view import INK, colour
+from deploy.plots.map_view import INK
 from deploy.plots.theme import write_picture
 from deploy.studies.accuracy.experiments.markdown import Section, panels, picture, prose, table
 from deploy.studies.accuracy.experiments.runs import scene_with
 from deploy.studies.orientations.study import study
+from deploy.util.colours import colour
 from plant.analysis.crossings import TURN
 
 if TYPE_CHECKING:

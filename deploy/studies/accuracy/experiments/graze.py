@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
 
-from deploy.plots.map_view import INK, LOST, colour
+from deploy.plots.map_view import INK, LOST
 from deploy.plots.theme import write_picture
 from deploy.runs.field_simulation import field_speeds
 from deploy.studies.accuracy.experiments.markdown import (
@@ -27,6 +27,7 @@ from deploy.studies.accuracy.experiments.markdown import (
     table,
 )
 from deploy.studies.accuracy.experiments.runs import ExperimentTrace, max_displacement_m, run, scene_with
+from deploy.util.colours import colour
 from plant.analysis.static_supports import StaticSupports
 from plant.array import CellArray
 from plant.friction.viscous import viscous_of

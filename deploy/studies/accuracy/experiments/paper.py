@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from deploy.plots.map_view import INK, colour, draw_map
+from deploy.plots.map_view import INK, draw_map
 from deploy.plots.theme import DPI, draw_heading, write_picture
 from deploy.recordings.trace import RunTrace
 from deploy.runs.field_simulation import field_speeds
@@ -20,6 +20,7 @@ from deploy.studies.accuracy.closed_form import closed_form
 from deploy.studies.accuracy.experiments.markdown import GRID, Section, error, picture, power, prose, table
 from deploy.studies.accuracy.experiments.runs import ExperimentTrace, run, scene_with
 from deploy.studies.orientations.study import study
+from deploy.util.colours import colour
 from plant.analysis.equilibrium import linear_field
 from plant.array import CellArray
 from plant.friction.viscous import viscous_of

@@ -12,9 +12,9 @@ from matplotlib.image import imread
 
 from deploy.cli import main
 from deploy.commands.options import load_scene
-from deploy.plots.map_view import colour
 from deploy.studies.orientations.plots import draw_orientations, draw_sizes
 from deploy.studies.orientations.study import OrientationStudy, SizeMap, size_map, study
+from deploy.util.colours import colour
 from plant.analysis.orientations import TorqueProfile
 
 CONTINUOUS = "#8fa0b2"
