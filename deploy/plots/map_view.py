@@ -11,21 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.faults.records import OUT, lost_for_good, out_of_array
+from deploy.plots.scale import draw_scale
 from deploy.recordings.trace import RunTrace
 from deploy.util.colours import colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import PolyCollection
 
 INK = "#22272e"
 LOST = "#c1121f"
 LABEL: Any = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
 """Behind words that lines may cross."""
-_CELL = "#eceff3"
+CELL = "#eceff3"
 _CELL_LARGE = "#f3f5f8"
-_ARROW = "#7d8a9a"
-_EXIT = "#4b7a3f"
-_PULLED = "#8a5a00"
+ARROW = "#7d8a9a"
+EXIT = "#4b7a3f"
+PULLED = "#8a5a00"
 RAIL = "#3a424d"
 
 _SQUARES = 2500
@@ -34,6 +36,8 @@ _ARROWS_ACROSS = 26
 _OUTLINES = 9
 """Outlines of a parcel on its way, start and end included, for few parcels."""
 _FEW = 6
+_NUMBERED = 64
+"""Up to this many parcels have their number in the map."""
 _NARROW = 0.2
 """A view this many times as wide as high has room for one number below it."""
 
@@ -59,46 +63,51 @@ def extent(track: RunTrace) -> tuple[float, float, float, float]:
 
 def draw_map(axes: Axes, track: RunTrace) -> None:
     """Draw the overhead view, metres along both axes."""
+    draw_ground(axes, track)
+    _draw_arrows(axes, track)
+    _draw_faults(axes, track)
+    for parcel in range(len(track.footprints_m)):
+        _draw_parcel(axes, track, parcel)
+    _draw_incidents(axes, track)
+
+
+def draw_ground(axes: Axes, track: RunTrace) -> PolyCollection:
+    """Draw what does not change in a run: cells, exits, rails and the axes' labels. Returns the cells."""
     left, right, bottom, top = extent(track)
     axes.set_aspect("equal")
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
-    _draw_cells(axes, track)
-    _draw_arrows(axes, track)
-    _draw_faults(axes, track)
+    cells = _draw_cells(axes, track)
     _draw_exits(axes, track)
     for rail in track.rails_m:
         axes.fill(*np.array(rail).T, fc=RAIL, ec=RAIL, lw=2.4, joinstyle="round", zorder=2.8)
-    for parcel in range(len(track.footprints_m)):
-        _draw_parcel(axes, track, parcel)
-    _draw_incidents(axes, track)
     if right - left < _NARROW * (top - bottom):
         axes.set_xticks([round(0.5 * (left + right), 3)])
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
+    return cells
 
 
-def _squares(centres: NDArray[np.float64], side: float) -> NDArray[np.float64]:
+def square_corners(centres: NDArray[np.float64], side: float) -> NDArray[np.float64]:
     """``(n, 4, 2)`` corners of squares."""
     corners = 0.5 * side * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     return centres[:, None, :] + corners
 
 
-def _draw_cells(axes: Axes, track: RunTrace) -> None:
+def _draw_cells(axes: Axes, track: RunTrace) -> PolyCollection:
     from matplotlib.collections import PolyCollection
 
     large = len(track.positions_m) > _SQUARES
-    squares = _squares(track.positions_m, track.pitch_m * (1.0 if large else 0.92))
-    axes.add_collection(
-        PolyCollection(
-            list(squares),
-            facecolors=_CELL_LARGE if large else _CELL,
-            edgecolors="none",
-            antialiaseds=not large,
-            zorder=1,
-        ),
-        autolim=False,
+    squares = square_corners(track.positions_m, track.pitch_m * (1.0 if large else 0.92))
+    cells = PolyCollection(
+        list(squares),
+        facecolors=_CELL_LARGE if large else CELL,
+        edgecolors="none",
+        antialiaseds=not large,
+        zorder=1,
     )
+    axes.add_collection(cells, autolim=False)
+    return cells
 
 
 def _draw_arrows(axes: Axes, track: RunTrace) -> None:
@@ -118,7 +127,7 @@ def _draw_arrows(axes: Axes, track: RunTrace) -> None:
     # With an even stride no cell is in the middle: arrows as long as the stride would stick out of the array.
     reach = (stride - 1 + stride % 2) * track.pitch_m
     left, right, bottom, top = extent(track)
-    axes.quiver(
+    arrows = axes.quiver(
         track.positions_m[shown][moving, 0],
         track.positions_m[shown][moving, 1],
         speeds[moving, 0],
@@ -133,11 +142,11 @@ def _draw_arrows(axes: Axes, track: RunTrace) -> None:
         headlength=4.6,
         headaxislength=4.1,
         minlength=0.1,
-        color=_ARROW,
+        color=ARROW,
         linewidth=0,
         zorder=2,
     )
-    axes.set_title(f"wheels, longest arrow {fastest:.3g} m/s", loc="right", color=_ARROW, fontsize=8, pad=4)
+    draw_scale(axes, arrows, fastest, ARROW)
 
 
 def affected_cells(track: RunTrace) -> set[tuple[int, int]]:
@@ -164,11 +173,11 @@ def _draw_faults(axes: Axes, track: RunTrace) -> None:
         axes,
         track,
         [index[cell] for cell in out if cell in index],
-        edgecolors=_PULLED,
+        edgecolors=PULLED,
         linestyles=(0, (2, 1.5)),
     )
     away = [index[cell] for cell, again_s in out.items() if again_s is None and cell in index]
-    _draw_squares(axes, track, away, facecolors="white", edgecolors=_PULLED, linestyles=(0, (2, 1.5)))
+    _draw_squares(axes, track, away, facecolors="white", edgecolors=PULLED, linestyles=(0, (2, 1.5)))
     affected = [index[cell] for cell in affected_cells(track) if cell in index]
     _draw_squares(axes, track, affected, edgecolors=LOST)
     lost = [index[cell] for cell in lost_for_good(track.faults) if cell in index]
@@ -183,7 +192,7 @@ def _draw_squares(
 
     if not cells:
         return
-    squares = list(_squares(track.positions_m[sorted(cells)], 0.92 * track.pitch_m))
+    squares = list(square_corners(track.positions_m[sorted(cells)], 0.92 * track.pitch_m))
     axes.add_collection(
         PolyCollection(squares, facecolors=facecolors, linewidths=0.8, zorder=2.5, **style), autolim=False
     )
@@ -194,7 +203,7 @@ def _draw_crosses(axes: Axes, track: RunTrace, cells: list[int]) -> None:
 
     if not cells:
         return
-    crosses = _squares(track.positions_m[cells], 0.5 * track.pitch_m)
+    crosses = square_corners(track.positions_m[cells], 0.5 * track.pitch_m)
     strokes = [crosses[:, [0, 2]], crosses[:, [1, 3]]]
     axes.add_collection(
         LineCollection(list(np.concatenate(strokes)), colors=LOST, linewidths=1.1, zorder=2.6), autolim=False
@@ -204,8 +213,8 @@ def _draw_crosses(axes: Axes, track: RunTrace, cells: list[int]) -> None:
 def _draw_exits(axes: Axes, track: RunTrace) -> None:
     """Each exit with its name, at whichever of its corners lies farthest up and to the right."""
     for name, corners in track.exits:
-        axes.fill(*corners.T, fc="none", ec=_EXIT, hatch="////", lw=0, alpha=0.3, zorder=1.5)
-        axes.fill(*corners.T, fill=False, ec=_EXIT, lw=1.2, ls=(0, (4, 2)), zorder=2.7)
+        axes.fill(*corners.T, fc="none", ec=EXIT, hatch="////", lw=0, alpha=0.3, zorder=1.5)
+        axes.fill(*corners.T, fill=False, ec=EXIT, lw=1.2, ls=(0, (4, 2)), zorder=2.7)
         x, y = corners[np.argmax(corners.sum(axis=1))]
         axes.annotate(
             name,
@@ -214,7 +223,7 @@ def _draw_exits(axes: Axes, track: RunTrace) -> None:
             textcoords="offset points",
             ha="right",
             va="top",
-            color=_EXIT,
+            color=EXIT,
             fontsize=8,
             fontweight="bold",
             bbox=LABEL,
@@ -223,7 +232,7 @@ def _draw_exits(axes: Axes, track: RunTrace) -> None:
         )
 
 
-def _outline(footprint: NDArray[np.float64], state: NDArray[np.float64]) -> NDArray[np.float64]:
+def outline(footprint: NDArray[np.float64], state: NDArray[np.float64]) -> NDArray[np.float64]:
     """Corners of a footprint at a pose."""
     cosine, sine = np.cos(state[2]), np.sin(state[2])
     turn = np.array([[cosine, sine], [-sine, cosine]])
@@ -248,11 +257,11 @@ def _draw_parcel(axes: Axes, track: RunTrace, parcel: int) -> None:
     times = np.linspace(track.time_s[whole[0]], track.time_s[whole[-1]], _OUTLINES if few else 2)
     passed = np.unique(np.searchsorted(track.time_s[whole], times).clip(max=len(whole) - 1))[:-1]
     for place, step in enumerate(passed):
-        corners = _outline(footprint, path[step])
+        corners = outline(footprint, path[step])
         weight = 0.22 + 0.5 * place / max(len(passed), 1)
         axes.fill(*corners.T, fill=False, ec=shade, lw=1.0, alpha=weight, zorder=3)
     last = path[-1]
-    corners = _outline(footprint, last)
+    corners = outline(footprint, last)
     if parcel in _left(track):
         axes.fill(*corners.T, fill=False, ec=shade, lw=1.0, alpha=0.6, zorder=3)
         axes.plot(*last[:2], ">", ms=4 if few else 3, color=shade, zorder=6)
@@ -260,16 +269,16 @@ def _draw_parcel(axes: Axes, track: RunTrace, parcel: int) -> None:
     axes.fill(*corners.T, fc=shade, ec="none", alpha=0.22, zorder=3.5)
     axes.fill(*corners.T, fill=False, ec=shade, lw=2.0 if few else 1.3, joinstyle="round", zorder=5)
     front = np.array([[0.0, 0.0], [float(footprint[:, 0].max()), 0.0]])
-    axes.plot(*_outline(front, last).T, color=shade, lw=1.6 if few else 1.0, zorder=5)
+    axes.plot(*outline(front, last).T, color=shade, lw=1.6 if few else 1.0, zorder=5)
     axes.plot(*last[:2], "o", ms=4 if few else 2.5, color=shade, zorder=6)
-    if 1 < len(track.footprints_m) <= 12:
+    if 1 < len(track.footprints_m) <= _NUMBERED:
         axes.annotate(
             str(parcel),
             (last[0], last[1]),
-            xytext=(5, 5),
+            xytext=(5, 5) if few else (2, 2),
             textcoords="offset points",
             color=INK,
-            fontsize=9,
+            fontsize=9 if few else 6.5,
             fontweight="bold",
             path_effects=[withStroke(linewidth=2.5, foreground="white")],
             zorder=7,

@@ -96,7 +96,7 @@ def _mark(axes: Axes, track: RunTrace, *, labelled: bool) -> None:
 FILE_NAME = "overview.png"
 _WIDE = 2.0
 """A view this many times as wide as high has its panels below it."""
-_HEAD, _FOOT, _MARGIN, _EDGE, _GAP, _TEXT_LEFT = 0.95, 0.62, 0.85, 0.35, 1.0, 0.35
+_HEAD, _FOOT, _MARGIN, _EDGE, _GAP, _TEXT_LEFT = 0.95, 0.72, 0.85, 0.35, 1.0, 0.35
 """Space around the view, inches."""
 _Box = tuple[float, float, float, float]
 
@@ -118,6 +118,7 @@ def draw_overview(run: Recording | RunTrace, path: str | Path) -> None:
 def _figure(track: RunTrace) -> Figure:
     from matplotlib.figure import Figure
 
+    from deploy.plots.legend import draw_legend
     from deploy.plots.map_view import draw_map, extent
 
     left, right, bottom, top = extent(track)
@@ -131,11 +132,12 @@ def _figure(track: RunTrace) -> Figure:
     ]
     view.set_anchor("N")
     draw_map(view, track)
+    draw_legend(view, track, above=not stacked)
     if panels:
         draw_times(panels, track, stacked=stacked)
         if stacked:
             figure.align_ylabels(panels)
-    draw_heading(figure, track.title or track.scene, _subtitle(track), _TEXT_LEFT)
+    draw_heading(figure, track.title or track.scene, subtitle_of(track), _TEXT_LEFT)
     return figure
 
 
@@ -165,7 +167,8 @@ def _below(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
     return _MARGIN + width + _EDGE, _HEAD + height + lift, boxes
 
 
-def _subtitle(track: RunTrace) -> str:
+def subtitle_of(track: RunTrace) -> str:
+    """Return the facts of a run for the line under a plot's title."""
     parts = [
         track.scene,
         plural(len(track.positions_m), "cell"),

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -62,6 +63,13 @@ def format_of(path: Path) -> str:
     return suffix
 
 
+def plot_style() -> AbstractContextManager[None]:
+    """Return a context in which figures have the common style, whatever a person's own settings are."""
+    import matplotlib as mpl
+
+    return mpl.rc_context(_STYLE)
+
+
 def write_picture(make: Callable[[], Figure], path: str | Path) -> None:
     """Write a figure in the format of the file's suffix, without a display.
 
@@ -75,11 +83,10 @@ def write_picture(make: Callable[[], Figure], path: str | Path) -> None:
         InputError: The suffix names no format of pictures.
         DeployError: It can't be written.
     """
-    import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     kind = format_of(Path(path))
-    with mpl.rc_context(_STYLE):
+    with plot_style():
         figure = make()
         canvas = FigureCanvasAgg(figure)
         page = _page(figure, canvas.get_renderer())

@@ -227,6 +227,11 @@ class Recording:
             float(self.time_s[instant]), self.parcels[instant], self.held_wheel_speeds.at(instant)
         )
 
+    @property
+    def left_out_effects(self) -> tuple[str, ...]:
+        """Names of the scene's effects that change forces and that ``tractions`` does not include."""
+        return self._recorded_tractions.left_out
+
     def to_xarray(self) -> xarray.Dataset:
         """Return all values as a dataset with names, units and coordinates.
 

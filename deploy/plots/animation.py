@@ -1,0 +1,199 @@
+"""Animations of a recording: the map view over time, as MP4 or GIF."""
+
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+# (matplotlib leaves the keywords of its drawing methods untyped.)
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.errors import InputError
+from deploy.plots.map_view import ARROW, CELL, draw_ground, extent, outline
+from deploy.plots.overview import subtitle_of
+from deploy.plots.scale import draw_scale
+from deploy.plots.theme import draw_heading, plot_style
+from deploy.util.colours import colour
+from deploy.util.files import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from deploy.recordings.reader import Recording
+
+FORMATS: Final = ("mp4", "gif")
+FRAMES_HZ: Final = 20
+MOST_FRAMES: Final = 400
+"""A longer run has its frames farther apart, and plays faster than real time."""
+_DPI = 100
+
+
+def check_animation(path: Path) -> None:
+    """Refuse a file name that ends in no format of animations, and MP4 without an encoder.
+
+    Raises:
+        InputError: Names the rule.
+    """
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix not in FORMATS:
+        raise InputError(f"animation {path}: its name must end in .mp4 or .gif")
+    if suffix == "mp4":
+        _encoder(path)
+
+
+def _encoder(path: Path) -> str:
+    """Return the path of ffmpeg: the system's, else the one of imageio-ffmpeg."""
+    found = shutil.which("ffmpeg")
+    if found is not None:
+        return found
+    try:
+        return import_module("imageio_ffmpeg").get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        raise InputError(
+            f"animation {path}: MP4 needs ffmpeg: install ffmpeg, or pip install imageio-ffmpeg; "
+            "a name that ends in .gif needs neither"
+        ) from None
+
+
+def draw_animation(recording: Recording, path: str | Path) -> None:
+    """Draw the map view over time. The file is written whole or not at all.
+
+    Args:
+        recording: The recording, whole or cut.
+        path: The file to write, MP4 or GIF by its suffix.
+
+    Raises:
+        InputError: The suffix names no format, there is no encoder, or the recording has no instant.
+        DeployError: The file can't be written.
+    """
+    import matplotlib as mpl
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+
+    path = Path(path)
+    check_animation(path)
+    if not len(recording.tick):
+        raise InputError(f"{recording.path}: has no instant to animate")
+    suffix = path.suffix.lower().removeprefix(".")
+    with plot_style(), atomic_write(path) as draft:
+        scene = _AnimatedMap(recording)
+        # the writers go by the suffix, which a draft doesn't have
+        named = draft.with_name(f"{draft.name}.{suffix}")
+        settings: Any = {"animation.ffmpeg_path": _encoder(path)} if suffix == "mp4" else {}
+        with mpl.rc_context(settings):
+            writer: Any = (FFMpegWriter if suffix == "mp4" else PillowWriter)(fps=FRAMES_HZ)
+            try:
+                with writer.saving(scene.figure, str(named), _DPI):
+                    for row in scene.rows.tolist():
+                        scene.show(row)
+                        writer.grab_frame()
+                named.replace(draft)
+            finally:
+                named.unlink(missing_ok=True)
+
+
+@final
+class _AnimatedMap:
+    """The map of a recording, whose parcels, covered sensors and wheels move.
+
+    Attributes:
+        figure: The figure.
+        rows: Instants of the frames.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        self._recording, self._track = recording, recording.run_trace()
+        self.rows = _frames(recording.time_s)
+        left, right, bottom, top = extent(self._track)
+        ratio = (right - left) / (top - bottom)
+        wide = min(max(5.4 * ratio, 3.0), 9.0)
+        tall = min(max(wide / ratio, 1.2), 5.4)
+        width, height = 0.85 + wide + 0.35, 1.0 + tall + 0.6
+        # an even number of pixels, which MP4 asks for
+        width, height = (2 * round(0.5 * _DPI * size) / _DPI for size in (width, height))
+        self.figure: Figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
+        FigureCanvasAgg(self.figure)
+        axes: Any = self.figure.add_axes((0.85 / width, 0.6 / height, wide / width, tall / height))
+        self._cells = draw_ground(axes, self._track)
+        self._shown = _every(self._track.cells)
+        self._arrows = self._draw_arrows(axes)
+        self._bodies = [
+            axes.fill(
+                *np.zeros((2, len(footprint))), fc=colour(i), ec=colour(i), alpha=0.55, lw=1.4, zorder=5
+            )[0]
+            for i, footprint in enumerate(self._track.footprints_m)
+        ]
+        self._time = axes.set_title("", loc="left", fontsize=9, color="#3a424c", pad=4)
+        draw_heading(self.figure, self._track.title, subtitle_of(self._track), 0.35)
+
+    def _draw_arrows(self, axes: Any) -> Any:
+        """Arrows of the wheels, whose scale is that of the fastest wheel in all frames; None if no wheel turns."""
+        held = self._recording.held_wheel_speeds
+        speeds = held.values[np.unique(held.index[self.rows])][:, self._shown]
+        size = np.hypot(speeds[..., 0], speeds[..., 1])
+        fastest = float(size[np.isfinite(size)].max(initial=0.0))
+        if fastest == 0.0:
+            return None
+        stride = _stride(self._track.cells)
+        reach = stride * self._track.pitch_m
+        arrows = axes.quiver(
+            *self._track.positions_m[self._shown].T,
+            *speeds[0].T,
+            angles="xy",
+            pivot="mid",
+            units="xy",
+            scale_units="xy",
+            scale=fastest / (0.92 * reach),
+            width=0.05 * reach,
+            color=ARROW,
+            linewidth=0,
+            zorder=2,
+        )
+        draw_scale(axes, arrows, fastest, ARROW)
+        return arrows
+
+    def show(self, row: int) -> None:
+        """Draw one instant."""
+        recording, track = self._recording, self._track
+        self._time.set_text(f"{track.time_s[row]:.2f} s")
+        covered = np.any(recording.held_presence.at(row), axis=1)
+        self._cells.set_facecolor([_COVERED if one else CELL for one in covered.tolist()])
+        if self._arrows is not None:
+            speeds = recording.held_wheel_speeds.at(row)[self._shown]
+            self._arrows.set_UVC(*np.where(np.isfinite(speeds), speeds, 0.0).T)
+        for parcel, body in enumerate(self._bodies):
+            state = track.parcels[row, parcel]
+            there = bool(np.isfinite(state).all())
+            body.set_visible(there)
+            if there:
+                body.set_xy(outline(track.footprints_m[parcel], state))
+
+
+_COVERED = "#c5d5ea"
+_ACROSS = 26
+
+
+def _stride(cells: Sequence[tuple[int, int]]) -> int:
+    """Cells from arrow to arrow, so that there are few along the longer side."""
+    return int(-(-(np.ptp(np.array(cells).reshape(-1, 2), axis=0).max() + 1) // _ACROSS))
+
+
+def _every(cells: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Cells that have an arrow, ``(n,)``."""
+    stride = _stride(cells)
+    return ((np.array(cells).reshape(-1, 2) - stride // 2) % stride == 0).all(axis=1)
+
+
+def _frames(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Rows of the frames, at equal times."""
+    count = int(np.clip((time_s[-1] - time_s[0]) * FRAMES_HZ, 1, MOST_FRAMES - 1)) + 1
+    wanted = np.linspace(time_s[0], time_s[-1], count)
+    return np.searchsorted(time_s, wanted - 1e-12).clip(max=len(time_s) - 1).astype(np.int64)

@@ -1,0 +1,207 @@
+"""Every kind of plot: what it shows, that no text is clipped, and bad requests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.quiver import QuiverKey
+from matplotlib.text import Text
+from PIL import Image
+
+from deploy.cli import main
+from deploy.plots import theme
+from deploy.plots.animation import draw_animation
+from deploy.plots.kinds import KINDS, draw_kind
+from deploy.plots.scale import round_below
+from deploy.recordings.reader import Recording, load
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.scenes.overrides import Override
+from deploy.workers.plan import RunOptions
+
+Make = Callable[..., Any]
+FAULTS = (
+    "faults=[{ kind = 'crash', at_s = 0.02, cell = [4, 4] }, { kind = 'wheel_weak', at_s = 0.03, cell = [5, 5], "
+    "strength = 0.5 }, { kind = 'remove', at_s = 0.02, cell = [9, 9], until_s = 0.04 }]"
+)
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recording]:
+    """Recordings of a scene with faults, one with sticking wheels, and one of three parcels."""
+    found = {}
+    for name, sets in (("elliptic", (FAULTS,)), ("coulomb", ()), ("carousel", ())):
+        folder = tmp_path_factory.mktemp(name)
+        scene = load_scene(name, [Override.parse(text) for text in ("duration_s=0.2", *sets)])
+        run(scene, RunOptions(0, "memory", output=folder, picture=False), quiet=True)
+        found[name] = load(folder)
+    return found
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Figure, Any]]:
+    """Every figure that is written, with its page in inches."""
+    found: list[tuple[Figure, Any]] = []
+    page = theme._page
+
+    def spy(figure: Figure, renderer: Any) -> Any:
+        found.append((figure, page(figure, renderer)))
+        return found[-1][1]
+
+    monkeypatch.setattr(theme, "_page", spy)
+    return found
+
+
+def clipped(figure: Figure, page: Any) -> list[str]:
+    """Texts that are not wholly on the page."""
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    found = [*figure.findobj(Text), *(key.text for key in figure.findobj(QuiverKey))]
+    texts = [text for text in found if text.get_visible() and text.get_text()]
+    dpi = figure.dpi
+    return [
+        text.get_text()
+        for text in texts
+        for box in [text.get_window_extent(renderer)]
+        if not text.get_clip_on()
+        and not (
+            page.x0 * dpi <= box.x0 + 1
+            and page.y0 * dpi <= box.y0 + 1
+            and box.x1 <= page.x1 * dpi + 1
+            and box.y1 <= page.y1 * dpi + 1
+        )
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_drawn_with_all_texts_on_the_page(
+    recordings: dict[str, Recording], drawn: list[tuple[Figure, Any]], kind: str, tmp_path: Path
+) -> None:
+    for name, recording in recordings.items():
+        draw_kind(recording, kind, tmp_path / f"{name}.png")
+        assert (tmp_path / f"{name}.png").stat().st_size > 5000
+    for figure, page in drawn:
+        assert clipped(figure, page) == []
+        assert all(
+            axes.get_xlabel() or axes.get_label() == "<colorbar>" or axes.get_ylabel() for axes in figure.axes
+        )
+    assert len(drawn) == 3
+
+
+def test_a_map_has_a_legend_of_the_marks_that_occur_and_a_scale(
+    recordings: dict[str, Recording], drawn: list[tuple[Figure, Any]], tmp_path: Path
+) -> None:
+    for name in ("elliptic", "coulomb"):
+        draw_kind(recordings[name], "overview", tmp_path / "x.png")
+    legends = [
+        [text.get_text() for text in figure.axes[0].get_legend().get_texts()]  # type: ignore[union-attr]
+        for figure, _ in drawn
+    ]
+    assert legends[0] == ["start", "end; line: front", "cell lost", "cell with a fault", "module pulled"]
+    assert legends[1] == ["start", "end; line: front"]
+    scales = [[key.text.get_text() for key in figure.findobj(QuiverKey)] for figure, _ in drawn]
+    assert scales == [["wheels, 2 m/s"], ["wheels, 0.2 m/s"]]
+
+
+def test_the_scale_is_round_and_never_longer_than_the_longest_arrow() -> None:
+    values = np.random.default_rng(1).lognormal(size=500) * 10.0 ** np.arange(-4, 4).repeat(63)[:500]
+    for value in values.tolist():
+        assert 0.4 * value <= round_below(value) <= value * (1 + 1e-9)
+    assert [round_below(value) for value in (0.2, 1.0, 4.99, 5.0, 9.99)] == [0.2, 1.0, 2.0, 5.0, 5.0]
+
+
+def test_loads_are_drawn_at_the_instant_that_is_asked_for(
+    recordings: dict[str, Recording], drawn: list[tuple[Figure, Any]], tmp_path: Path
+) -> None:
+    recording = recordings["elliptic"]
+    draw_kind(recording, "loads", tmp_path / "x.png", at_s=0.1)
+    instant = int(np.argmin(np.abs(recording.time_s - 0.1)))
+    (figure, _) = drawn[0]
+    shown = np.ma.filled(figure.axes[0].collections[0].get_array(), 0.0)
+    np.testing.assert_array_equal(shown, recording.tractions(instant).load_n)
+    draw_kind(recordings["coulomb"], "loads", tmp_path / "x.png")
+    assert any("wheels stick: no arrow" in text.get_text() for text in drawn[1][0].texts)
+
+
+def test_the_torque_is_that_of_the_tractions(
+    recordings: dict[str, Recording], drawn: list[tuple[Figure, Any]], tmp_path: Path
+) -> None:
+    recording = recordings["elliptic"]
+    draw_kind(recording, "torque", tmp_path / "x.png")
+    (line,) = drawn[0][0].axes[2].lines
+    row = 20
+    forces = recording.tractions(row)
+    lever = np.array(recording.header["positions_m"]) - recording.parcels[row, 0, :2]
+    torque = np.sum(lever[:, 0] * forces.traction_n[:, 1] - lever[:, 1] * forces.traction_n[:, 0])
+    assert np.interp(recording.time_s[row], *line.get_data()) == pytest.approx(torque)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["time", "phase", "overview"])
+def test_many_parcels_a_wide_array_and_no_parcel_fit_too(
+    tmp_path: Path, made_up_run: Make, drawn: list[tuple[Figure, Any]], kind: str
+) -> None:
+    for number, shape in enumerate(
+        ({"parcels": 40}, {"columns": 40, "parcels": 9}, {"parcels": 0}, {"ticks": 0})
+    ):
+        recording = load(made_up_run(**shape).record(tmp_path / str(number)))
+        draw_kind(recording, kind, tmp_path / "x.svg")
+    assert [clipped(figure, page) for figure, page in drawn] == [[]] * 4
+
+
+@pytest.mark.slow
+def test_forty_parcels_have_their_numbers(
+    tmp_path: Path, made_up_run: Make, drawn: list[tuple[Figure, Any]]
+) -> None:
+    draw_kind(load(made_up_run(parcels=40).record(tmp_path)), "overview", tmp_path / "x.png")
+    words = {text.get_text() for text in drawn[0][0].axes[0].texts}
+    assert words >= {str(number) for number in range(40)}
+
+
+@pytest.mark.slow
+def test_an_animation_is_a_gif_of_the_whole_run(tmp_path: Path, made_up_run: Make) -> None:
+    recording = load(made_up_run(ticks=60, parcels=2, wheels_change=True).record(tmp_path))
+    draw_animation(recording, tmp_path / "run.gif")
+    with Image.open(tmp_path / "run.gif") as picture:
+        assert picture.n_frames == 5  # 0.246 s at 20 a second, both ends included
+        first = np.asarray(picture.convert("RGB"), dtype=int)
+        picture.seek(4)
+        assert np.abs(np.asarray(picture.convert("RGB"), dtype=int) - first).max() > 100
+    assert not list(tmp_path.glob("*.draft*"))
+
+
+@pytest.mark.parametrize(
+    ("words", "rule"),
+    [
+        (["--kind", "time", "--at", "0.1"], "--at: goes with --kind loads or field, not time"),
+        (["--kind", "field", "--at", "99"], "--at 99: the recording has the time from 0 to"),
+        (["--animate", "x.avi"], "animation x.avi: its name must end in .mp4 or .gif"),
+        (["--animate", "x.gif", "--kind", "time"], "--animate: goes without --output and --kind"),
+        (["--kind", "loads"], "its scene is not one of this version"),
+    ],
+)
+def test_bad_requests_are_refused_in_one_line(
+    tmp_path: Path, made_up_run: Make, capsys: pytest.CaptureFixture[str], words: list[str], rule: str
+) -> None:
+    made_up_run().record(tmp_path)
+    assert main(["plot", str(tmp_path), *words]) == 2
+    error = capsys.readouterr().err
+    assert rule in error
+    assert len(error.splitlines()) == 1
+
+
+def test_an_mp4_without_an_encoder_is_refused_with_the_rule(
+    tmp_path: Path, made_up_run: Make, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made_up_run().record(tmp_path)
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
+    assert main(["plot", str(tmp_path), "--animate", str(tmp_path / "x.mp4")]) == 2
+    assert "MP4 needs ffmpeg: install ffmpeg, or pip install imageio-ffmpeg" in capsys.readouterr().err
+    assert not (tmp_path / "x.mp4").exists()
