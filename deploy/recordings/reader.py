@@ -260,6 +260,12 @@ class Recording:
         size = f"{plural(len(self.header['cells']), 'cell')}, {plural(self.parcels.shape[1], 'parcel')}"
         return f"<Recording of {self.header['scene_name']}: {seconds:g} s, {size}, {self.status}>"
 
+    def _repr_html_(self) -> str:
+        """Representation in notebooks."""
+        from deploy.recordings.notebook import recording_html
+
+        return recording_html(self.run_trace(), self.digest, self.control)
+
     def run_trace(self) -> RunTrace:
         """Return the trace of the run for plots, with the final wheel speeds."""
         header = self.header

@@ -13,6 +13,7 @@ from deploy.runs.output import parcel_outcomes, validity
 from deploy.runs.rejections import DENIED, MALFORMED, MESSAGE, RejectionMonitor, total
 from deploy.runs.summary import Messages, ProtocolMessages, Summary
 from deploy.scenes.fault_schedule import crash_aborts
+from deploy.util.notebook import facts_html
 from deploy.util.signals import Interrupted
 from plant.errors import PlantError, PlantStopped, PlantUnstable
 
@@ -79,6 +80,15 @@ class RunResult:
             footprints_m=plant.footprints_m,
             misrouted=0 if traffic is None else traffic.misrouted,
         )
+
+    def _repr_html_(self) -> str:
+        """Representation in notebooks."""
+        facts = [("status", f"{self.status}: {self.reason}" if self.reason else self.status)]
+        facts += [("cells lost", str(self.cells_lost)), ("wall time", f"{self.wall_s:.3g} s")]
+        for number, (state, status) in enumerate(zip(self.state, self.parcel_status, strict=True)):
+            x, y, angle = state[:3].tolist()
+            facts.append((f"parcel {number}", f"{status.state} at ({x:.4g}, {y:.4g}) m, {angle:.4g} rad"))
+        return facts_html("Result of a run", facts)
 
     @property
     def cells_lost(self) -> int:

@@ -100,6 +100,12 @@ class Scene(Spec):
         """Bundled name, or the file as it was given."""
         return self._name
 
+    def _repr_html_(self) -> str:
+        """Representation in notebooks."""
+        from deploy.scenes.notebook import scene_html
+
+        return scene_html(self)
+
     def named(self, name: str) -> Scene:
         """Return a copy of the scene under another name."""
         copy = self.model_copy()
