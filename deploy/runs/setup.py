@@ -212,6 +212,10 @@ def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -
         from deploy.recordings.reader import load
 
         replayed = load(options.replay)
+        if not replayed.header["sensors_m"]:
+            raise InputError(
+                f"--replay {options.replay}: is a recording of mdms simulate, which has no cells to repeat"
+            )
         if options.output is not None and options.output.resolve() == replayed.path.parent.resolve():
             raise InputError(
                 f"--replay {options.replay}: would be overwritten by --output {options.output}: name another folder"

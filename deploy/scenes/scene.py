@@ -102,9 +102,24 @@ class Scene(Spec):
 
     def _repr_html_(self) -> str:
         """Representation in notebooks."""
-        from deploy.scenes.notebook import scene_html
+        from deploy.scenes.notebook import start_svg
+        from deploy.util.formatting import plural
+        from deploy.util.notebook import facts_html
 
-        return scene_html(self)
+        effects = [name for name, _ in self.effects.enabled()]
+        facts = [
+            ("scene", self.name),
+            ("array", f"{plural(self.array.count, 'cell')}, pitch {self.array.pitch_m:g} m"),
+            ("firmware", f"{self.cells.firmware}, every {self.cells.period_s:g} s"),
+            ("parcels", str(self.parcel_count)),
+            ("friction", self.friction.law),
+            ("solver", self.solver.name),
+            ("effects", ", ".join(effects) or "none"),
+            ("faults", str(len(self.faults))),
+            ("duration", f"{self.duration_s:g} s, {plural(self.ticks, 'tick')}"),
+            ("seed", str(self.seed)),
+        ]
+        return facts_html(self.title or self.name, facts, start_svg(self.array, self.parcels))
 
     def named(self, name: str) -> Scene:
         """Return a copy of the scene under another name."""

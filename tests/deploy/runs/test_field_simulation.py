@@ -218,6 +218,14 @@ def test_a_simulation_is_recorded_sample_by_sample(tmp_path: Path) -> None:
     assert {event["kind"] for event in recording.events} >= {"support_gained", "support_lost"}
 
 
+def test_a_recording_of_a_simulation_is_no_run_to_repeat(tmp_path: Path) -> None:
+    scene = _scene("elliptic", duration_s=0.01)
+    simulate(scene, output=tmp_path, picture=False, quiet=True)
+    options = RunOptions(0, "memory", output=tmp_path / "again", picture=False, replay=tmp_path)
+    with pytest.raises(InputError, match="is a recording of mdms simulate, which has no cells to repeat"):
+        run(scene, options, quiet=True)
+
+
 def test_an_interrupted_simulation_leaves_a_recording_up_to_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
