@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 _EVERY: Final = slice(None)
 FAULTS: Final = "faults"
 """Name of the faults' input filters, which are applied after the filters of all effects."""
+MESSAGES: Final = "message."
+"""Prefix of the registers that show messages: ``message.sent`` ``(n, 4)``, and one a field, by side."""
 
 
 @final
@@ -86,6 +88,7 @@ class Shard:
     Attributes:
         indices: ``(n,)``, the cells of this shard, by index into the lattice.
         cells: ``(row, column)`` of each cell.
+        shows_messages: Whether ``registers`` has the messages of the last tick, too.
 
     Raises:
         FirmwareFailed: The firmware's ``init`` failed.
@@ -117,6 +120,7 @@ class Shard:
         self._active: Indices | None = None  # rows still alive, once some are not
         self._retired = Counter[str]()  # what the others' boards had counted
         self._period_ns = nanoseconds(cells.period_s)
+        self.shows_messages = False
         self._tick = -1
         self._drive = np.zeros((self._n, 2))
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
@@ -360,7 +364,20 @@ class Shard:
             ``(a, 2)`` row and column of each; by name, arrays with a row for each.
         """
         cells = self._state.cells
-        return np.stack((cells.row, cells.column), axis=1), self._controller.registers(self._state)
+        registers = self._controller.registers(self._state)
+        if self.shows_messages and self._message is not None:
+            registers = {**registers, **self._sent_messages(self._message)}
+        return np.stack((cells.row, cells.column), axis=1), registers
+
+    def _sent_messages(self, message: np.dtype[Any]) -> dict[str, NDArray[Any]]:
+        """Return the messages of live cells in the last tick, by side, as registers."""
+        rows = slice(None) if self._active is None else self._active
+        sent, fields = self._sent.reshape(-1, 4)[rows], self._outgoing.reshape(-1, 4)[rows]
+        names = message.names or ()
+        return {
+            f"{MESSAGES}sent": sent.copy(),
+            **{f"{MESSAGES}{name}": fields[name].copy() for name in names},
+        }
 
     def counters(self) -> Counter[str]:
         """Return the counters of effects and boards so far, by ``effect.counter``, retired cells included."""

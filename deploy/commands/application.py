@@ -37,6 +37,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 _OPTIONAL_VALUES = {
     "--realtime": ("1", _NUMBER),
     "--protocol-report": ("1", re.compile(r"[+-]?\d+")),
+    "--messages": ("1", re.compile(r"[+-]?\d+")),
     "--registers": ("1", re.compile(r"[+-]?\d+")),
     "--docs": ("docs", re.compile(r"[^-].*")),
 }

@@ -98,6 +98,15 @@ RealtimeOption = Annotated[
         help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as possible.",
     ),
 ]
+MessagesOption = Annotated[
+    int | None,
+    typer.Option(
+        "--messages",
+        rich_help_panel=EXECUTION_PANEL,
+        metavar="[TICKS]",
+        help="Record the messages between cells every TICKS ticks (default: every tick), up to 1 GB.",
+    ),
+]
 PausedOption = Annotated[
     bool,
     typer.Option(
@@ -187,6 +196,7 @@ def run(
     realtime: RealtimeOption = None,
     paused: PausedOption = False,
     registers: RegistersOption = None,
+    messages: MessagesOption = None,
     protocol_report: ProtocolReportOption = None,
     respawn: RespawnOption = 0,
     replay: ReplayOption = None,
@@ -227,6 +237,7 @@ def run(
         output=scene_options.output,
         picture=scene_options.picture,
         registers=registers,
+        messages=messages,
         protocol_report=protocol_report,
         respawn=respawn,
         replay=replay,

@@ -18,6 +18,7 @@ EVENTS = "/events"
 FAULTS = "/faults"
 CONTROL = "/control"
 REGISTERS = "/registers"
+MESSAGES = "/messages"
 END = "/end"
 
 HEADER_RECORD = "mdms.header"
@@ -136,6 +137,31 @@ def _ndarray(dtype: str, shape: list[int], description: str, **more: str) -> dic
     return {"description": description, "ndarray": {"dtype": dtype, "shape": shape, **more}}
 
 
+def _arrays(key: str, tick: str, description: str) -> dict[str, Any]:
+    """Return the schema of a tick and of arrays by name."""
+    return _object(
+        {
+            "tick": _said(tick, "integer"),
+            key: {
+                "type": "object",
+                "description": description,
+                "additionalProperties": {
+                    "type": "array",
+                    "description": "dtype in NumPy's notation, shape, and the elements as a MessagePack binary",
+                    "prefixItems": [
+                        {"type": "string"},
+                        {"type": "array", "items": {"type": "integer"}, "description": "cells first"},
+                        {},
+                    ],
+                    "minItems": 3,
+                    "maxItems": 3,
+                },
+            },
+        },
+        ["tick", key],
+    )
+
+
 def binary_schemas(header: Header) -> dict[str, dict[str, Any]]:
     """JSON Schema of every MessagePack topic, for the array and the parcels of a header.
 
@@ -162,29 +188,25 @@ def binary_schemas(header: Header) -> dict[str, dict[str, Any]]:
         },
         ["tick"],
     )
-    registers = _object(
-        {
-            "tick": _said("number of the tick after which the registers were read", "integer"),
-            "registers": {
-                "type": "object",
-                "description": "by name of the register",
-                "additionalProperties": {
-                    "type": "array",
-                    "description": "dtype in NumPy's notation, shape, and the elements as a MessagePack binary",
-                    "prefixItems": [
-                        {"type": "string"},
-                        {"type": "array", "items": {"type": "integer"}, "description": "cells first"},
-                        {},
-                    ],
-                    "minItems": 3,
-                    "maxItems": 3,
-                },
-            },
-        },
-        ["tick", "registers"],
-    )
     absent = " A key that is absent has the value of the message before."
     return {
         TICK: {"description": _BINARY + absent, **tick},
-        REGISTERS: {"description": _BINARY, **registers},
+        REGISTERS: {
+            "description": _BINARY,
+            **_arrays(
+                "registers",
+                "number of the tick after which the registers were read",
+                "by name of the register",
+            ),
+        },
+        MESSAGES: {
+            "description": _BINARY
+            + " Sides are north, east, south, west. A message sent in tick k is read in tick k + 1, unless a fault "
+            "or a bad link keeps it.",
+            **_arrays(
+                "messages",
+                "number of the tick in which the messages were sent",
+                "sent: whether a cell sent a message on each side; the others: the messages' fields, by side",
+            ),
+        },
     }

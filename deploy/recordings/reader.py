@@ -21,6 +21,7 @@ from deploy.recordings.format import (
     FILE_NAME,
     FORMAT,
     HEADER_RECORD,
+    MESSAGES,
     PROFILE,
     REGISTERS,
     TICK,
@@ -121,6 +122,8 @@ class Recording:
         held_wheel_speeds: ``(n, 2)`` per change: the wheels' surface speeds at the instant, m/s.
         register_tick: ``(R,)`` int64, ticks after which the cells' registers were recorded; none unless requested.
         registers: Registers of all cells at these ticks, by name, ``(R, n, ...)``; zero for dead cells.
+        message_tick: ``(M,)`` int64, ticks whose messages between cells were recorded; none unless requested.
+        messages: Messages sent in these ticks: ``sent`` ``(M, n, 4)`` bool by side, and ``(M, n, 4)`` by field.
         events: Events of the plant.
         faults: Faults.
         control: Live commands.
@@ -138,6 +141,8 @@ class Recording:
     held_wheel_speeds: ChangeEncoded
     register_tick: NDArray[np.int64]
     registers: dict[str, NDArray[Any]]
+    message_tick: NDArray[np.int64]
+    messages: dict[str, NDArray[Any]]
     events: Sequence[dict[str, Any]]
     faults: Sequence[dict[str, Any]]
     control: Sequence[dict[str, Any]]
@@ -339,6 +344,7 @@ def _load(path: Path) -> Recording:
     header: Header | None = None
     rows = _Rows()
     shown: list[dict[str, Any]] = []
+    sent: list[dict[str, Any]] = []
     logs: dict[str, list[object]] = {EVENTS: [], FAULTS: [], CONTROL: [], END: []}
     for record in scan(path, PROFILE):
         if isinstance(record, Message):
@@ -346,6 +352,8 @@ def _load(path: Path) -> Recording:
                 rows.add(record.time_ns, _map(unpack(record.data)))
             elif record.topic == REGISTERS:
                 shown.append(_map(unpack(record.data)))
+            elif record.topic == MESSAGES:
+                sent.append(_map(unpack(record.data)))
             elif record.topic in logs:
                 logs[record.topic].append(json.loads(record.data))
         else:
@@ -364,7 +372,9 @@ def _load(path: Path) -> Recording:
         status=status,
         digest=digest,
         register_tick=np.array([message["tick"] for message in shown], dtype=np.int64),
-        registers=_registers(shown),
+        registers=_stacked(shown, "registers"),
+        message_tick=np.array([message["tick"] for message in sent], dtype=np.int64),
+        messages=_stacked(sent, "messages"),
         **rows.arrays(header),
     )
 
@@ -375,11 +385,11 @@ def _map(value: object) -> dict[str, Any]:
     return cast("dict[str, Any]", value)
 
 
-def _registers(shown: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
-    """Stack the recorded registers by name; zero where a register is missing or has another shape."""
+def _stacked(shown: Sequence[dict[str, Any]], key: str) -> dict[str, NDArray[Any]]:
+    """Stack recorded arrays by name; zero where one is missing or has another shape."""
     found: dict[str, NDArray[Any]] = {}
     for row, message in enumerate(shown):
-        for name, (code, shape, data) in _map(message["registers"]).items():
+        for name, (code, shape, data) in _map(message[key]).items():
             values = np.frombuffer(data, np.dtype(code)).reshape(shape)
             if name not in found:
                 found[name] = np.zeros((len(shown), *values.shape), dtype=values.dtype)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 from bus.fault import transition_ticks
 from bus.state import StateFields
@@ -12,10 +12,14 @@ from deploy.recordings.digest import Digest
 from deploy.recordings.losses import found, lines
 from deploy.recordings.mishaps import Mishaps
 
+MESSAGES_LIMIT: Final = 1 << 30
+"""Most bytes of messages that a run records, before compression."""
+
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from bus.fault import FaultInstance, FaultSpec
     from bus.lockstep.counters import Loss
-    from bus.lockstep.registers import RegisterSnapshot
     from bus.wire.frames import Report
     from deploy.recordings.writer import Recorder
     from deploy.util.progress import Progress
@@ -78,6 +82,7 @@ class RunLog:
         self.faults: list[Mapping[str, Any]] = []
         self.cells_lost: list[tuple[int, int]] = []
         self.disturbed = False
+        self._message_bytes = 0
         self._hung: set[str] = set()
         self._injected = list(injected)
         self._turns = transition_ticks(self._injected)
@@ -137,9 +142,19 @@ class RunLog:
                 self.faults.append(fault)
                 self._recorder.fault(fault)
 
-    def registers(self, shown: RegisterSnapshot) -> None:
-        """Record the cells' registers."""
-        self._recorder.registers(shown.tick, shown.tick * self.period_ns, shown.registers)
+    def registers(self, tick: int, registers: Mapping[str, NDArray[Any]]) -> None:
+        """Record the cells' registers after a tick."""
+        self._recorder.registers(tick, tick * self.period_ns, registers)
+
+    def messages(self, tick: int, messages: Mapping[str, NDArray[Any]]) -> None:
+        """Record the messages that cells sent in a tick, up to ``MESSAGES_LIMIT`` bytes in all."""
+        size = sum(array.nbytes for array in messages.values())
+        if self._message_bytes + size <= MESSAGES_LIMIT:
+            self._message_bytes += size
+            self._recorder.messages(tick, tick * self.period_ns, messages)
+        elif self._message_bytes < MESSAGES_LIMIT:
+            self._message_bytes = MESSAGES_LIMIT
+            self.warn(f"--messages: {MESSAGES_LIMIT >> 20} MB of messages are recorded, up to tick {tick:,}")
 
     def _take_events(self, events: Sequence[Event]) -> None:
         for event in events:

@@ -13,7 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import DeployError, InputError
-from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, FILE_NAME, PARCELS, REGISTERS, TICK, Header
+from deploy.recordings.format import (
+    CONTROL,
+    END,
+    EVENTS,
+    FAULTS,
+    FILE_NAME,
+    MESSAGES,
+    PARCELS,
+    REGISTERS,
+    TICK,
+    Header,
+)
 from deploy.recordings.json_text import json_bytes, parcels_text
 from deploy.recordings.mcap import McapFile
 from deploy.util.files import sync_folder
@@ -157,10 +168,25 @@ class Recorder:
             time_ns: Simulated time of its start, ns.
             registers: Registers of all cells by name, ``(n, ...)``; zero for dead cells.
         """
+        self._put_arrays(REGISTERS, "registers", tick, time_ns, registers)
+
+    def messages(self, tick: int, time_ns: int, messages: Mapping[str, NDArray[Any]]) -> None:
+        """Record the messages that cells sent in a tick.
+
+        Args:
+            tick: The tick.
+            time_ns: Its start.
+            messages: ``sent`` ``(n, 4)``, and ``(n, 4)`` by name of the field; zero for dead cells.
+        """
+        self._put_arrays(MESSAGES, "messages", tick, time_ns, messages)
+
+    def _put_arrays(
+        self, topic: str, key: str, tick: int, time_ns: int, arrays: Mapping[str, NDArray[Any]]
+    ) -> None:
         values = {
-            name: [array.dtype.str, list(array.shape), array.tobytes()] for name, array in registers.items()
+            name: [array.dtype.str, list(array.shape), array.tobytes()] for name, array in arrays.items()
         }
-        self._put(REGISTERS, time_ns, self._file.pack({"tick": tick, "registers": values}))
+        self._put(topic, time_ns, self._file.pack({"tick": tick, key: values}))
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Record an event of the plant: at least ``time_s`` and ``kind``."""

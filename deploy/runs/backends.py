@@ -229,6 +229,7 @@ class BusCells:
         metered: Whether the cells count their messages.
         byte_accurate_links: Whether serial lines carry bytes and accept faults at run time.
         snapshots: Whether the coordinator may request snapshots.
+        messages: Whether the cells publish their messages as registers.
         resume: State in which the cells resume; None: they begin.
         counters: Counters of all sides at that time.
     """
@@ -238,6 +239,7 @@ class BusCells:
     metered: bool = False
     byte_accurate_links: bool = False
     snapshots: bool = False
+    messages: bool = False
     resume: ResumePoint | None = None
     counters: MessageCounters | None = None
 
@@ -251,6 +253,7 @@ class BusCells:
             metered=self.metered,
             live=self.byte_accurate_links,
             keeps=self.snapshots,
+            messages=self.messages,
             resumed=self.resume,
             counted=self.counters,
         )

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 from bus.errors import BusError
 from bus.lockstep.registers import RegisterRequest
 from bus.wire.keys import plant_key
+from cell_firmware.shard import MESSAGES
 from deploy.checkpoints.checkpointer import make_checkpointer, restore_run
 from deploy.errors import DeployError
 from deploy.recordings.losses import unreported
@@ -16,7 +17,7 @@ from deploy.runs.backends import BusCells
 from deploy.runs.result import RunResult
 from deploy.runs.simulation import Simulation
 from deploy.util.signals import Interrupted, Interruption
-from deploy.workers.worker import ResumePoint
+from deploy.workers.worker import ResumePoint, cell_faults, make_controller
 from plant.errors import PlantError, PlantStopped
 from plant.tick import TickHooks, TickRecord
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bus.lockstep import Coordinator
+    from bus.lockstep.registers import RegisterSnapshot
     from deploy.checkpoints.checkpointer import Checkpointer, CheckpointMetadata
     from deploy.control.server import ControlServer
     from deploy.recordings.run_log import RunLog
@@ -137,6 +139,7 @@ class RecordedRun:
                 metered=True,
                 byte_accurate_links=setup.byte_accurate_links,
                 snapshots=self.metadata is not None,
+                messages=setup.options.messages is not None,
                 resume=resumed and ResumePoint(resumed.tick, resumed.dead, resumed.states),
                 counters=resumed and resumed.all_counts(),
             ),
@@ -191,18 +194,13 @@ class RecordedRun:
 
     def _watch(self, coordinator: Coordinator) -> Callable[[TickRecord], None]:
         """Return the hook that handles hang reports, registers and rejections after a tick."""
-        hangs, every, reporter = (
-            self.setup.scene.effects.cop is not None,
-            self.setup.options.registers,
-            self.setup.reporter,
-        )
+        hangs, reporter = self.setup.scene.effects.cop is not None, self.setup.reporter
 
         def watch(record: TickRecord) -> None:
             if hangs:
                 self.log.on_hung(coordinator.drain_hung())
             for registers in coordinator.drain_registers():
-                if every is not None and registers.tick % every == 0:
-                    self.log.registers(registers)
+                self._record_registers(registers)
                 if reporter is not None:
                     reporter.take(registers)
             self.rejections.poll(coordinator.counters)
@@ -210,6 +208,17 @@ class RecordedRun:
                 reporter.take_drive(record.tick, record.drives, coordinator.live(record.tick))
 
         return watch
+
+    def _record_registers(self, shown: RegisterSnapshot) -> None:
+        """Record registers and messages of a tick, as far as they are requested."""
+        options = self.setup.options
+        parts = {False: dict[str, Any](), True: dict[str, Any]()}
+        for name, array in shown.registers.items():
+            parts[name.startswith(MESSAGES)][name.removeprefix(MESSAGES)] = array
+        if options.registers is not None and shown.tick % options.registers == 0:
+            self.log.registers(shown.tick, parts[False])
+        if options.messages is not None and shown.tick % options.messages == 0:
+            self.log.messages(shown.tick, parts[True])
 
     def _interrupt(self, record: TickRecord) -> None:
         """End the run after a signal; a hook."""
@@ -221,7 +230,18 @@ class RecordedRun:
         """Return the registers that the recording and the protocol's reporter need."""
         registers, reporter = self.setup.options.registers, self.setup.reporter
         requests = () if registers is None else (RegisterRequest(registers),)
+        if self.setup.options.messages is not None:
+            requests += (RegisterRequest(self.setup.options.messages, self._message_names()),)
         return requests if reporter is None else (*requests, *reporter.wanted)
+
+    def _message_names(self) -> frozenset[str]:
+        """Return the names of the registers that show messages."""
+        setup = self.setup
+        link = make_controller(
+            setup.scene, cell_faults(setup.scene), live=setup.byte_accurate_links
+        ).link_type
+        names = () if link is None else ("sent", *(link.names or ()))
+        return frozenset(f"{MESSAGES}{name}" for name in names)
 
     def _respawner(self, coordinator: Coordinator) -> Respawner | None:
         """Return the respawner of lost workers; None without ``--respawn``."""

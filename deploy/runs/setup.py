@@ -106,6 +106,13 @@ def register_warnings(scene: Scene) -> tuple[str, ...]:
     return () if problem is None else (f"--registers: {Path(scene.cells.firmware).name}: {problem}",)
 
 
+def _talks(scene: Scene) -> bool:
+    """Whether the cells' program sends messages."""
+    from cell_firmware.loader import load
+
+    return load(scene.cells).message is not None
+
+
 def _first_cell(scene: Scene) -> Cells:
     from cell_firmware.firmware import Cells
     from plant.array import CellArray
@@ -203,6 +210,8 @@ def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -
     planned = plan(scene, options, run_name(scene, secrets.token_hex(4)))
     live = options.realtime is not None or options.paused or options.replay is not None
     warnings = warnings_of(scene)
+    if options.messages is not None and not _talks(scene):
+        raise InputError("--messages: the program of the cells sends no messages")
     if options.registers is not None:
         warnings += register_warnings(scene)
     reporter = _reporter(scene, planned.partition.lattice, options.protocol_report)

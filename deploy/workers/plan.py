@@ -192,6 +192,7 @@ class RunOptions:
         output: Folder for everything the run leaves behind; None: a new one under ``runs/``.
         picture: Whether to draw the overview.
         registers: Period at which the cells' registers are recorded, ticks; None: never.
+        messages: Period at which the messages between cells are recorded, ticks; None: never.
         respawn: Most restarts of lost workers in all.
         replay: Folder of a recorded run of the scene, whose live commands and losses are repeated; None: no replay.
         protocol_report: Period at which the protocol's field is sampled for the report, ticks; None: no report.
@@ -210,6 +211,7 @@ class RunOptions:
     output: Path | None = None
     picture: bool = True
     registers: int | None = None
+    messages: int | None = None
     protocol_report: int | None = None
     respawn: int = 0
     replay: Path | None = None
@@ -338,7 +340,11 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
 
 def _check(options: RunOptions, scene: Scene, workers: int) -> None:
     """Refuse options that are out of range, or incompatible with the scene or the workers."""
-    for name, ticks in (("registers", options.registers), ("protocol-report", options.protocol_report)):
+    for name, ticks in (
+        ("registers", options.registers),
+        ("messages", options.messages),
+        ("protocol-report", options.protocol_report),
+    ):
         if ticks is not None and ticks < 1:
             raise InputError(f"--{name} {ticks}: must be a number of ticks from 1")
     if options.respawn < 0:

@@ -125,6 +125,7 @@ class System:
         metered: bool = False,
         live: bool = False,
         keeps: bool = False,
+        messages: bool = False,
         resumed: ResumePoint | None = None,
         counted: MessageCounters | None = None,
     ) -> Coordinator:
@@ -137,6 +138,7 @@ class System:
             metered: Count the cells' messages.
             live: Simulate serial lines byte by byte, so that faults can be injected at run time.
             keeps: Let the coordinator request snapshots.
+            messages: Let the cells publish their messages as registers.
             resumed: Resume point; None: the cells start at tick 0.
             counted: Counters of all sides at the resume point.
 
@@ -164,6 +166,7 @@ class System:
             keys=self._keys(),
             own_process=plan.workers > 0,
             snapshots=keeps,
+            messages=messages,
             resumed=resumed,
         )
         host = self.coordinator = Coordinator(

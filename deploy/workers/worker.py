@@ -74,6 +74,7 @@ class WorkerConfig:
         keys: Folder of each shard's role, named after the role; empty without keys.
         own_process: Whether a worker has its own process, which ends with a scheduled crash of all its cells.
         snapshots: Whether the coordinator may request snapshots.
+        messages: Whether the cells publish their messages as registers.
         resumed: Resume point; None: the cells start at tick 0.
     """
 
@@ -91,6 +92,7 @@ class WorkerConfig:
     keys: tuple[Path, ...]
     own_process: bool
     snapshots: bool = False
+    messages: bool = False
     resumed: ResumePoint | None = None
 
     def __call__(self, shard: int, built: BuiltShard | None = None) -> None:
@@ -346,6 +348,7 @@ def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
         stages,
         () if faults is None else faults.injected,
     )
+    shard.shows_messages = order.messages
     return BuiltShard(shard, site, records_of(load(scene.cells)))
 
 

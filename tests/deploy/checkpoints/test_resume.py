@@ -21,6 +21,7 @@ THEN = {
     "transport": "zenoh",
     "wire": "packed",
     "registers": None,
+    "messages": None,
     "protocol_report": None,
     "respawn": 0,
     "checkpoint_s": 5.0,
