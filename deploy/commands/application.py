@@ -28,6 +28,7 @@ COMMANDS = {
     "registers": "Read the registers of a running system's cells.",
     "scenes": "List the bundled scenes, or print a scene.",
     "schema": "Print the JSON Schema of scene files, for editors.",
+    "view": "Show a run in progress or a recording in the browser: run, pause, step, break cells.",
     "warm": "Compile the kernels of scenes ahead of their first run.",
 }
 """Every command and its line in the list; command NAME is function NAME of ``deploy.commands.NAME``."""

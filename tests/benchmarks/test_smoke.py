@@ -60,6 +60,7 @@ SCRIPTS: dict[str, Smoke] = {
     "deploy/viewer_cost.py": Smoke(
         "--cells 100 --turns 1 --seconds 0.3", rf"stopped +ratio {N}  \({N} .. {N}\)"
     ),
+    "deploy/view_rate.py": Smoke("--scenes elliptic --seconds 1", rf"elliptic +400 cells +{N} frames/s"),
     "deploy/first_run.py": Smoke("--repeat 1", r"digests: all the same"),
     "deploy/kill_the_plant.py": Smoke("--instants 1 --duration 1", r"1 kills, .*: [0-9a-f]{64}"),
     "deploy/planted_faults.py": Smoke("--programs 2", rf"2 programs in {N} s; 0 with"),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[3]
-HEAVY = ("numba", "scipy", "matplotlib", "zenoh", "mcap", "lz4")
+HEAVY = ("numba", "scipy", "matplotlib", "zenoh", "mcap", "lz4", "bokeh", "tornado")
 REPORT = """
 import sys
 from deploy.cli import main

@@ -1,0 +1,1 @@
+"""Page for live runs and recordings, in a browser on this machine."""

@@ -1,0 +1,218 @@
+"""Parts of the page that need no browser: health over time, history, player, geometry, colours, faults, inspector."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from deploy.control.server import read_request
+from deploy.faults.registry import KINDS
+from deploy.view.colouring import Colouring
+from deploy.view.fault_menu import fault_menu, fault_request
+from deploy.view.fault_state import ALIVE, DEAD, FAULTY, FaultState
+from deploy.view.geometry import CellGrid, arrows, broken_line, outlines, trails
+from deploy.view.history import History
+from deploy.view.inspector import supports
+from deploy.view.palette import DARK, LIGHT, rgba, scale_of
+from deploy.view.player import Player
+from deploy.view.plot_figure import PlotFigure
+from deploy.view.series import Series
+from deploy.view.source import Instant, RunSource
+
+CELLS = [[0, 0], [0, 1], [1, 0], [1, 2]]
+PLACES = [[0.05, 0.05], [0.15, 0.05], [0.05, 0.15], [0.25, 0.15]]
+
+
+def instant(tick: int, x: float = 0.0) -> Instant:
+    states = np.array([[x, 0, 0, 0, 0, 0]], dtype=np.float64)
+    speeds = np.array([[3.0, 4.0], [0, 0], [0, 0], [0, 1]]) * tick
+    return Instant(
+        tick, 0.1 * tick, states, speeds, np.zeros((4, 1), dtype=np.bool_), np.zeros(4, dtype=np.uint8)
+    )
+
+
+def source(ticks: int, *, live: bool = False) -> RunSource:
+    history = History(4, 1)
+    for tick in range(ticks):
+        history.add(instant(tick))
+    found = SimpleNamespace(
+        live=live,
+        times_s=history.times_s,
+        states=history.states,
+        at=history.at,
+        register_names=list,
+        faults=[],
+        events=[],
+    )
+    return cast("RunSource", found)
+
+
+# --- health ----------------------------------------------------------------------------------------
+
+
+def test_cells_are_faulty_while_a_fault_is_active_and_dead_until_they_rejoin() -> None:
+    state = FaultState(CELLS)
+    state.add(
+        [
+            {"time_s": 1.0, "kind": "wheel_stuck", "phase": "begins", "number": 0, "cells": [[0, 1], [1, 2]]},
+            {"time_s": 2.0, "kind": "timed_out", "cell": [0, 1]},
+            {"time_s": 2.0, "kind": "crash", "phase": "begins", "number": 1, "cells": [[1, 0]]},
+            {"time_s": 3.0, "kind": "wheel_stuck", "phase": "ends", "number": 0, "cells": [[0, 1], [1, 2]]},
+        ]
+    )
+    state.add([{"time_s": 4.0, "kind": "respawn", "cells": [[0, 1]], "phase": "happens"}])
+    assert state.health(0.9).tolist() == [ALIVE] * 4
+    assert state.health(1.0).tolist() == [ALIVE, FAULTY, ALIVE, FAULTY]
+    assert state.health(2.5).tolist() == [ALIVE, DEAD, DEAD, FAULTY]
+    assert state.health(3.5).tolist() == [ALIVE, DEAD, DEAD, ALIVE]
+    assert state.health(9.0).tolist() == [ALIVE, ALIVE, DEAD, ALIVE]
+    assert state.active_at(1.5, 3) == [(0, "wheel_stuck")]
+
+
+# --- history ---------------------------------------------------------------------------------------
+
+
+def test_a_history_drops_what_a_reset_has_undone_and_says_so() -> None:
+    history = History(4, 1)
+    assert all(history.add(instant(tick)) for tick in range(5))
+    assert history.add(instant(4)), "the same tick of a paused run changes nothing"
+    assert not history.add(instant(4, x=0.5)), "a parcel was moved"
+    assert not history.add(instant(2, x=0.7))
+    np.testing.assert_allclose(history.times_s, [0.0, 0.1, 0.2])
+    assert history.states[-1, 0, 0] == 0.7
+
+
+def test_a_full_history_keeps_its_ends_and_thins_out_the_older_half() -> None:
+    history = History(4, 1, most=100)
+    for tick in range(1_000):
+        history.add(instant(tick))
+    assert len(history.times_s) <= 100
+    assert history.at(0).tick == 0
+    assert [history.at(index).tick for index in (-2, -1)] == [998, 999]
+    assert (np.diff(history.times_s) > 0).all()
+    assert [history.at(k).time_s for k in range(len(history.times_s))] == history.times_s.tolist()
+
+
+# --- player ----------------------------------------------------------------------------------------
+
+
+def test_a_player_moves_at_its_speed_both_ways_and_stops_at_the_ends() -> None:
+    player = Player(source(11))
+    player.speed = 2.0
+    player.toggle()
+    player.advance(0.25)
+    assert player.index == 5
+    player.backwards = True
+    player.advance(0.09)
+    assert player.index == 3
+    player.advance(10.0)
+    assert (player.index, player.playing) == (0, False)
+    player.toggle()
+    assert player.index == 10, "backwards from the end"
+
+
+def test_a_player_of_a_run_follows_until_it_looks_back() -> None:
+    player = Player(source(11, live=True))
+    assert player.index == 10
+    player.step(-3)
+    assert (player.index, player.following) == (7, False)
+    player.seek_time(0.41)
+    assert player.index == 5
+    player.follow()
+    assert player.index == 10
+
+
+# --- geometry --------------------------------------------------------------------------------------
+
+
+def test_a_grid_finds_cells_neighbours_and_holes() -> None:
+    grid = CellGrid(CELLS, PLACES, 0.1)
+    assert [grid.cell_at(x, y) for x, y in PLACES] == [0, 1, 2, 3]
+    assert grid.cell_at(0.15, 0.15) is None
+    assert grid.cell_at(0.35, 0.05) is None
+    assert grid.neighbour(2, 0, 1) == 3, "over the hole"
+    assert grid.neighbour(3, 1, 0) is None
+    assert grid.beside(0) == {"north": 2, "east": 1}
+    image = grid.image(np.array([1, 2, 3, 4], dtype=np.uint32))
+    assert image.tolist() == [[1, 2, 0], [3, 0, 4]]
+
+
+def test_the_fastest_arrow_is_as_long_as_a_cell_and_slow_wheels_have_none() -> None:
+    found = arrows(np.array(PLACES[:2]), np.array([[2.0, 0.0], [0.001, 0.0]]), 2.0, 0.1)
+    assert found["x1"] - found["x0"] == pytest.approx(0.084)
+    assert len(found["x0"]) == 1
+
+
+def test_outlines_are_lists_and_absent_parcels_have_no_corners() -> None:
+    square = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    xs, ys = outlines([square, square], np.array([[1, 2, np.pi / 2, 0, 0, 0], [np.nan] * 6]))
+    assert isinstance(xs[0], list)
+    np.testing.assert_allclose(xs[0], [2, 2, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(ys[0], [1, 3, 3, 1], atol=1e-12)
+    assert xs[1] == []
+
+
+def test_trails_end_at_the_instant_and_lines_are_joined_with_gaps() -> None:
+    states = np.zeros((500, 2, 6))
+    states[:, 0, 0] = np.arange(500)
+    paths = trails(states, 400, 300)
+    assert (paths[0][-1, 0], len(paths)) == (400.0, 2)
+    assert len(paths[0]) <= 62
+    x, _ = broken_line([np.zeros((2, 2)), np.ones((3, 2))])
+    assert np.isnan(x).tolist() == [False, False, True, False, False, False, True]
+
+
+def test_supports_are_the_cells_under_a_turned_parcel() -> None:
+    centres = np.array([[0.0, 0.0], [0.9, 0.0], [0.9, 0.9]])
+    square = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    assert supports(square, np.zeros(6), centres).tolist() == [0, 1, 2]
+    assert supports(square, np.array([0, 0, np.pi / 4, 0, 0, 0]), centres).tolist() == [0, 1]
+
+
+def test_the_axis_of_a_plot_has_limits_while_its_parcel_is_absent() -> None:
+    plot = PlotFigure()
+    gone = Series("parcel 0", "m", ("x",), np.array([0.0, 1.0]), np.full((2, 1), np.nan))
+    plot.show(gone, 0.0, 1.0)
+    assert (plot.figure.y_range.start, plot.figure.y_range.end) == (0.0, 1.0)
+    plot.show(gone._replace(values=np.array([[2.0], [4.0]])), 0.0, 1.0)
+    assert plot.figure.y_range.start < 2.0 < 4.0 < plot.figure.y_range.end
+
+
+# --- colours ---------------------------------------------------------------------------------------
+
+
+def luminance(colour: str) -> float:
+    parts = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
+
+
+@pytest.mark.parametrize("theme", [LIGHT, DARK])
+def test_a_scale_is_told_apart_by_lightness_and_marks_stand_out(theme: Any) -> None:
+    steps = np.diff([luminance(colour) for colour in theme.scale])
+    assert (steps > 0).all() or (steps < 0).all()
+    for colour in (theme.ink, theme.dead, theme.faulty):
+        bright, dark = sorted((luminance(colour), luminance(theme.paper)), reverse=True)
+        assert (bright + 0.05) / (dark + 0.05) > 3.0, colour
+
+
+def test_the_limits_of_a_scale_are_those_of_the_whole_recording() -> None:
+    colouring = Colouring(source(11))
+    colouring.choose("speed")
+    first = colouring.colours(10, instant(10), LIGHT)
+    assert colouring.legend(LIGHT)["high"] == 50.0
+    assert first.tolist()[:2] == [scale_of(LIGHT)[-1], rgba(LIGHT.scale[0])]
+
+
+def test_every_kind_of_fault_has_a_button_whose_request_the_run_accepts() -> None:
+    kinds = [entry["kind"] for entry in fault_menu()]
+    assert sorted([*kinds, "add"]) == sorted(KINDS)
+    for kind in kinds:
+        request: Any = read_request(json.dumps(fault_request(kind, 3, 4)).encode())
+        assert request.fault.kind == kind
+    turned: Any = read_request(json.dumps(fault_request("link_down", 3, 4, {"side": "north"})).encode())
+    assert turned.fault.side == "north"
