@@ -19,9 +19,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
+from deploy.plots.map_view import INK
+from deploy.plots.theme import draw_heading, write_picture
+from deploy.util.colours import colour
 from tests.benchmarks.protocols.align_case import Case, Floats, Start, off_deg, run, starts
 
 LENGTHS_M: Final = np.round(2.0 * np.linspace(0.21, 0.37, 9), 6)
@@ -67,32 +71,46 @@ def main() -> None:
             f"{np.mean(off > 5.0):8.0%}{1e3 * np.median(at_m):8.2f}{time.process_time() - began:8.0f}"
         )
     if asked.output is not None and not asked.quick:
-        draw(found, begun, asked.output / "align.png", asked.sensors)
+        asked.output.mkdir(parents=True, exist_ok=True)
+        write_picture(lambda: draw(found, begun, asked.sensors), asked.output / "align.png")
 
 
-def draw(found: dict[str, tuple[Floats, Floats]], begun: list[Start], path: Path, sensors: int) -> None:
-    """Angles over time above, and where they end over the sizes below."""
+def draw(found: dict[str, tuple[Floats, Floats]], begun: list[Start], sensors: int) -> Figure:
+    """Draw angles over time above, and where they end over the sizes below."""
     from matplotlib import colors
-    from matplotlib import pyplot as plt
 
     titles = {
         "open loop": "open loop: elliptic field",
         "sensors": f"align, {sensors} binary sensor{'s' * (sensors > 1)} a cell",
         "camera": "align, camera",
     }
-    figure, axes = plt.subplots(
-        2, 3, figsize=(10.5, 6.4), height_ratios=(1.15, 1.0), layout="constrained", squeeze=False
+    figure = Figure(figsize=(10.5, 7.2))
+    draw_heading(
+        figure,
+        "Parcels of 45 sizes turned to an angle",
+        "off by how much over time, and at the end over length and width; black: median",
+        0.35,
     )
+    axes = figure.subplots(
+        2,
+        3,
+        squeeze=False,
+        gridspec_kw={
+            "height_ratios": (1.15, 1.0), "left": 0.08, "right": 0.88, "top": 0.84, "bottom": 0.08,
+            "hspace": 0.28, "wspace": 0.22,
+        },
+    )  # fmt: skip
     scale = colors.LogNorm(0.05, 90.0)
     shape = (len(LENGTHS_M), len(WIDTHS_M))
     for column, (name, (times, states)) in enumerate(found.items()):
         off = np.maximum(off_deg(states, begun), 1e-3)
         above, below = axes[0, column], axes[1, column]
-        above.semilogy(times, off, color="tab:blue", alpha=0.35, linewidth=0.8)
-        above.semilogy(times, np.median(off, axis=1), color="black", linewidth=1.6, label="median")
-        above.axhline(2.0, color="tab:green", linestyle="--", linewidth=1.0, label="2°")
-        above.axhline(6.0, color="tab:red", linestyle="--", linewidth=1.0, label="6°")
-        above.set(title=titles[name], xlabel="time (s)", ylim=(0.01, 120.0), xlim=(0.0, times[-1]))
+        above.semilogy(times, off, color=colour(0), alpha=0.35, linewidth=0.8)
+        above.semilogy(times, np.median(off, axis=1), color=INK, linewidth=1.6, label="median")
+        above.axhline(2.0, color=colour(2), linestyle="--", linewidth=1.0, label="2°")
+        above.axhline(6.0, color=colour(1), linestyle="--", linewidth=1.0, label="6°")
+        above.set_title(titles[name], loc="left", size=10)
+        above.set(xlabel="time (s)", ylim=(0.01, 120.0), xlim=(0.0, times[-1]))
         image = below.imshow(
             off[-1].reshape(shape).T, origin="lower", norm=scale, cmap="viridis_r", aspect="auto"
         )
@@ -105,10 +123,10 @@ def draw(found: dict[str, tuple[Floats, Floats]], begun: list[Start], path: Path
             below.text(i, j, text, ha="center", va="center", fontsize=6.5, color="white" if dark else "black")
     axes[0, 0].set_ylabel("off by (degrees)")
     axes[1, 0].set_ylabel("width (m)")
-    axes[0, 0].legend(loc="lower left", fontsize=8)
-    figure.colorbar(image, ax=axes[1, :].tolist(), label="off at the end (degrees)")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    axes[0, 0].legend(frameon=False, loc="lower left", fontsize=8)
+    bar = figure.add_axes((0.9, 0.08, 0.015, 0.32))
+    figure.colorbar(image, cax=bar, label="off at the end (degrees)")
+    return figure
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
@@ -21,9 +22,12 @@ from cell_firmware.board import Board
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import load
 from cell_firmware.shard import Shard
+from deploy.plots.theme import write_picture
 from deploy.runs.setup import load_plant
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
+from deploy.studies.accuracy.experiments.markdown import panels
+from deploy.util.colours import colour
 
 FEEDERS = 4
 METHOD = """\
@@ -124,24 +128,24 @@ def over_seeds(rows: list[Row], parcels: int) -> str:
     )
 
 
-def draw(rows: list[Row], folder: Path) -> None:
-    """Throughput, and how long it takes, against what is offered."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
+def draw(rows: list[Row]) -> Figure:
+    """Draw throughput, and how long it takes, against what is offered."""
     offered = [row.offered_per_s for row in rows]
-    figure, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(6.4, 5.6), constrained_layout=True)
-    above.plot(offered, offered, color="0.7", linewidth=1.0, label="all that come")
-    above.plot(offered, [row.left_per_s for row in rows], marker="o", label="leave")
-    above.set(
-        ylabel="parcels / s", ylim=(0.0, 1.15 * max(offered)), title="Scene junction: 4 feeders, 4 exits"
+    figure, (left, right) = panels(
+        "Parcels through the junction, 4 feeders and 4 exits",
+        "scene junction; left: how many leave; right: how long a parcel takes",
+        widths_in=(4.2, 4.2),
+        height_in=3.2,
     )
-    above.legend(frameon=False)
-    below.plot(offered, [row.transit_s for row in rows], marker="o")
-    below.set(xlabel="parcels that arrive / s", ylabel="mean transit, s", ylim=(0.0, None))
-    figure.savefig(folder / "images" / "junction-throughput.png", dpi=130)
+    left.plot(offered, offered, color="#b9c1c9", linewidth=1.0, label="all that come")
+    left.plot(offered, [row.left_per_s for row in rows], color=colour(0), marker="o", ms=4, label="leave")
+    left.set(
+        xlabel="parcels that arrive (1/s)", ylabel="parcels that leave (1/s)", ylim=(0.0, 1.15 * max(offered))
+    )
+    left.legend(frameon=False)
+    right.plot(offered, [row.transit_s for row in rows], color=colour(0), marker="o", ms=4)
+    right.set(xlabel="parcels that arrive (1/s)", ylabel="mean transit (s)", ylim=(0.0, None))
+    return figure
 
 
 def main() -> None:
@@ -166,7 +170,7 @@ def main() -> None:
         if asked.seeds > 1:
             print(over_seeds(rows[-asked.seeds :], asked.parcels // FEEDERS * FEEDERS), flush=True)
     if asked.docs:
-        draw(rows, asked.docs)
+        write_picture(lambda: draw(rows), asked.docs / "images" / "junction-throughput.png")
 
 
 if __name__ == "__main__":
