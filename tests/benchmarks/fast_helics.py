@@ -142,7 +142,3 @@ def main() -> None:
             break
     print(ticks / (time.perf_counter() - begun), flush=True)
     exchange.close()
-
-
-if __name__ == "__main__":
-    main()

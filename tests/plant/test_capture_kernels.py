@@ -26,8 +26,8 @@ def _side(surface, body, work, group, i, c, s):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _entry(ser, order, normal, offset, px, py, curve, zero, end, g, p, start):  # type: ignore[no-untyped-def]
-    return events.entry(ser, order, normal, offset, px, py, curve, zero, end, g, p, start)
+def _entry(ser, order, normal, offset, outside, px, py, curve, zero, end, g, p, start):  # type: ignore[no-untyped-def]
+    return events.entry(ser, order, normal, offset, outside, px, py, curve, zero, end, g, p, start)
 
 
 def _square(x: float) -> tuple[Plant, Surface]:
@@ -84,7 +84,7 @@ def test_a_cell_is_not_let_in_over_one_edge_where_a_bent_path_has_taken_it_out_o
     normal, offset = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]), np.full(4, 0.3)
     g, p, start = np.zeros((3, layout.SER_COLUMNS))
     # to the right of the parcel by 0.1 m, half a step's way: over its edge the cell comes at one half
-    time, edge = _entry(ser, 2, normal, offset, 0.4, 0.29, 1.000001 * bend, 1e-15, 1.0, g, p, start)
+    time, edge = _entry(ser, 2, normal, offset, 0.0, 0.4, 0.29, 1.000001 * bend, 1e-15, 1.0, g, p, start)
     if enters:
         assert (time, edge) == (pytest.approx(0.5, abs=1e-15), 0)
     else:

@@ -92,8 +92,13 @@ EFFECTS: dict[str, dict[str, object]] = {
 
 @pytest.mark.parametrize(
     ("name", "effect"),
-    # a law that doesn't depend on the load has no uneven friction
-    [(law, effect) for law in LAWS for effect in EFFECTS if (law, effect) != ("rolling", "uneven_friction")],
+    # a law that doesn't depend on the load has no uneven friction; kernels with effects are compiled for the slow tier
+    [
+        pytest.param(law, effect, marks=[] if effect == "none" else pytest.mark.slow)
+        for law in LAWS
+        for effect in EFFECTS
+        if (law, effect) != ("rolling", "uneven_friction")
+    ],
 )
 def test_tractions_sum_to_what_the_solver_accelerates_the_parcel_by(name: str, effect: str) -> None:
     scene = _scene(LAWS[name], **EFFECTS[effect])
