@@ -92,8 +92,20 @@ RunningInOption = Annotated[
         help="Output folder of the run. Default: the latest run below runs/ that has not ended.",
     ),
 ]
+
+
+def _waited(timeout: float) -> float:
+    """Return a valid value of ``--timeout``."""
+    if not 0 < timeout < float("inf"):
+        raise InputError(f"--timeout {timeout:g}: must be greater than 0")
+    return timeout
+
+
 TimeoutOption = Annotated[
-    float, typer.Option("--timeout", metavar="SECONDS", help="Longest wait for an answer, wall time.")
+    float,
+    typer.Option(
+        "--timeout", metavar="SECONDS", help="Longest wait for an answer, wall time.", callback=_waited
+    ),
 ]
 PictureOption = Annotated[bool, typer.Option("--picture/--no-picture", help="Draw overview.png at the end.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no warnings on stderr.")]

@@ -116,6 +116,8 @@ def _decoded(fields: dict[str, Any]) -> tuple[RunFrame, Any]:
     health = np.frombuffer(fields["health"], np.uint8)
     n, in_play = len(health), np.frombuffer(fields["in_play"], np.bool_)
     sensors, bits = fields["presence"]
+    if len(bits) != -(-n * sensors // 8):
+        raise ValueError(f"{len(bits)} bytes of presence bits for {n} cells with {sensors} sensors")
     presence = np.unpackbits(np.frombuffer(bits, np.uint8), count=n * sensors, bitorder="little")
     frame = RunFrame(
         tick=int(fields["tick"]),

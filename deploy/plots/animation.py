@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -15,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import InputError
+from deploy.plots.arrows import ArrowGrid, draw_arrows
 from deploy.plots.map_view import ARROW, CELL, draw_ground, extent, outline
 from deploy.plots.overview import subtitle_of
-from deploy.plots.scale import draw_scale
 from deploy.plots.theme import draw_heading, plot_style
 from deploy.util.colours import colour
 from deploy.util.files import atomic_write
@@ -123,7 +122,8 @@ class _AnimatedMap:
         FigureCanvasAgg(self.figure)
         axes: Any = self.figure.add_axes((0.85 / width, 0.6 / height, wide / width, tall / height))
         self._cells = draw_ground(axes, self._track)
-        self._shown = _every(self._track.cells)
+        self._grid = ArrowGrid.of(self._track.cells, self._track.pitch_m)
+        self._shown = self._grid.shown
         self._arrows = self._draw_arrows(axes)
         self._bodies = [
             axes.fill(
@@ -142,23 +142,7 @@ class _AnimatedMap:
         fastest = float(size[np.isfinite(size)].max(initial=0.0))
         if fastest == 0.0:
             return None
-        stride = _stride(self._track.cells)
-        reach = stride * self._track.pitch_m
-        arrows = axes.quiver(
-            *self._track.positions_m[self._shown].T,
-            *speeds[0].T,
-            angles="xy",
-            pivot="mid",
-            units="xy",
-            scale_units="xy",
-            scale=fastest / (0.92 * reach),
-            width=0.05 * reach,
-            color=ARROW,
-            linewidth=0,
-            zorder=2,
-        )
-        draw_scale(axes, arrows, fastest, ARROW)
-        return arrows
+        return draw_arrows(axes, self._grid, self._track.positions_m[self._shown], speeds[0], fastest, ARROW)
 
     def show(self, row: int) -> None:
         """Draw one instant."""
@@ -178,18 +162,6 @@ class _AnimatedMap:
 
 
 _COVERED = "#c5d5ea"
-_ACROSS = 26
-
-
-def _stride(cells: Sequence[tuple[int, int]]) -> int:
-    """Cells from arrow to arrow, so that there are few along the longer side."""
-    return int(-(-(np.ptp(np.array(cells).reshape(-1, 2), axis=0).max() + 1) // _ACROSS))
-
-
-def _every(cells: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Cells that have an arrow, ``(n,)``."""
-    stride = _stride(cells)
-    return ((np.array(cells).reshape(-1, 2) - stride // 2) % stride == 0).all(axis=1)
 
 
 def _frames(time_s: NDArray[np.float64]) -> NDArray[np.int64]:

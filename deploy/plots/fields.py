@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.plots.arrows import ArrowGrid, draw_arrows
 from deploy.plots.map_view import INK, LABEL, extent, outline, square_corners
 from deploy.plots.overview import subtitle_of
-from deploy.plots.scale import draw_scale
 from deploy.plots.theme import DPI, draw_heading
 from deploy.util.colours import colour
 
@@ -26,8 +26,6 @@ Floats = NDArray[np.float64]
 _COLOURS, _DARKEST = "YlGnBu", 0.6
 """Colour map, and the part of it that is used: arrows must be visible on the darkest cell."""
 _EMPTY = "#eceff3"
-_ACROSS = 26
-"""Arrows along the longer side of the array, at most."""
 _HEAD_IN, _FOOT_IN, _LEFT_IN, _RIGHT_IN, _BAR_IN = 1.05, 0.62, 0.85, 0.85, 0.16
 
 
@@ -118,31 +116,11 @@ def _colours() -> Any:
 
 
 def _draw_arrows(axes: Any, track: RunTrace, arrows: Floats, scale: tuple[str, str]) -> None:
-    places = np.array(track.cells).reshape(-1, 2)
-    stride = int(-(-(np.ptp(places, axis=0).max() + 1) // _ACROSS))
-    shown = ((places - stride // 2) % stride == 0).all(axis=1)
-    size = np.hypot(arrows[:, 0], arrows[:, 1])
-    shown &= np.isfinite(size) & (size > 0.0)
-    if not shown.any():
-        return
-    longest = float(size[shown].max())
-    reach = stride * track.pitch_m
-    drawn = axes.quiver(
-        *track.positions_m[shown].T,
-        *arrows[shown].T,
-        angles="xy",
-        pivot="mid",
-        units="xy",
-        scale_units="xy",
-        scale=longest / (0.92 * reach),
-        width=0.05 * reach,
-        minlength=0.1,
-        color=INK,
-        alpha=0.75,
-        linewidth=0,
-        zorder=3,
-    )
-    draw_scale(axes, drawn, longest, INK, *scale)
+    grid, size = ArrowGrid.of(track.cells, track.pitch_m), np.hypot(arrows[:, 0], arrows[:, 1])
+    shown = grid.shown & np.isfinite(size) & (size > 0.0)
+    if shown.any():
+        longest = float(size[shown].max())
+        draw_arrows(axes, grid, track.positions_m[shown], arrows[shown], longest, INK, scale, zorder=3)
 
 
 def _draw_parcels(axes: Any, track: RunTrace, instant: int) -> None:

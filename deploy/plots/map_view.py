@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.faults.records import OUT, lost_for_good, out_of_array
-from deploy.plots.scale import draw_scale
+from deploy.plots.arrows import ArrowGrid, draw_arrows
 from deploy.recordings.trace import RunTrace
 from deploy.util.colours import colour
 
@@ -32,7 +32,6 @@ RAIL = "#3a424d"
 
 _SQUARES = 2500
 """Up to this many cells each is a square of its own; beyond, gaps would be under a pixel."""
-_ARROWS_ACROSS = 26
 _OUTLINES = 9
 """Outlines of a parcel on its way, start and end included, for few parcels."""
 _FEW = 6
@@ -114,39 +113,12 @@ def _draw_arrows(axes: Axes, track: RunTrace) -> None:
     """Wheel velocities, of every k-th cell each way where the array is large."""
     if track.wheel_speeds is None:
         return
-    cells = np.array(track.cells).reshape(-1, 2)
-    across = np.ptp(cells, axis=0).max() + 1
-    stride = int(-(-across // _ARROWS_ACROSS))
-    shown = ((cells - stride // 2) % stride == 0).all(axis=1)
-    speeds = track.wheel_speeds[shown]
-    speed = np.hypot(speeds[:, 0], speeds[:, 1])
-    moving = np.isfinite(speed) & (speed > 0)
-    if not moving.any():
-        return
-    fastest = float(speed[moving].max())
-    # With an even stride no cell is in the middle: arrows as long as the stride would stick out of the array.
-    reach = (stride - 1 + stride % 2) * track.pitch_m
-    left, right, bottom, top = extent(track)
-    arrows = axes.quiver(
-        track.positions_m[shown][moving, 0],
-        track.positions_m[shown][moving, 1],
-        speeds[moving, 0],
-        speeds[moving, 1],
-        angles="xy",
-        pivot="mid",
-        units="xy",
-        scale_units="xy",
-        scale=fastest / (0.92 * reach),
-        width=min(0.055 * reach, 0.004 * max(right - left, top - bottom)),
-        headwidth=4.0,
-        headlength=4.6,
-        headaxislength=4.1,
-        minlength=0.1,
-        color=ARROW,
-        linewidth=0,
-        zorder=2,
-    )
-    draw_scale(axes, arrows, fastest, ARROW)
+    grid = ArrowGrid.of(track.cells, track.pitch_m)
+    speed = np.hypot(*track.wheel_speeds.T)
+    moving = grid.shown & np.isfinite(speed) & (speed > 0)
+    if moving.any():
+        fastest = float(speed[moving].max())
+        draw_arrows(axes, grid, track.positions_m[moving], track.wheel_speeds[moving], fastest, ARROW)
 
 
 def affected_cells(track: RunTrace) -> set[tuple[int, int]]:

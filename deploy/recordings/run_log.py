@@ -12,9 +12,6 @@ from deploy.recordings.digest import Digest
 from deploy.recordings.losses import found, lines
 from deploy.recordings.mishaps import Mishaps
 
-MESSAGES_LIMIT: Final = 1 << 30
-"""Most bytes of messages that a run records, before compression."""
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -25,6 +22,9 @@ if TYPE_CHECKING:
     from deploy.util.progress import Progress
     from plant.observations import Event
     from plant.tick import TickRecord
+
+MESSAGES_LIMIT: Final = 1 << 30
+"""Most bytes of messages that a run records, before compression."""
 
 
 @final

@@ -122,8 +122,7 @@ class Session:
 
     def notify(self, text: str, kind: str = "info") -> None:
         """Show a line to the viewer; ``kind``: info or error."""
-        self.held: Floats = np.zeros(2)
-        self._notice: dict[str, Any] = {"text": text, "kind": kind, "number": self._notice["number"] + 1}
+        self._notice = {"text": text, "kind": kind, "number": self._notice["number"] + 1}
 
     def ask(self, request: dict[str, Any], then: Callable[[dict[str, Any]], None] | None = None) -> None:
         """Send a request to the run from another thread, and handle the answer here; refusals are shown."""

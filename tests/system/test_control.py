@@ -56,8 +56,9 @@ class Controlled:
 
 @pytest.mark.parametrize("processes", ["each", 2])
 def test_pauses_and_steps_leave_the_digest_as_it_is(tmp_path: Path, processes: Processes) -> None:
-    plain = run(scene(), RunOptions(processes=0, output=tmp_path / "plain", picture=False), quiet=True)
-    controlled = Controlled(tmp_path / "controlled", processes)
+    options = RunOptions(processes=processes, output=tmp_path / "plain", picture=False, registers=1)
+    plain = run(scene(), options, quiet=True)
+    controlled = Controlled(tmp_path / "controlled", processes, registers=1)
     live = controlled.live
     for tick in range(1, 101):
         assert live.step()["tick"] == tick
@@ -69,6 +70,9 @@ def test_pauses_and_steps_leave_the_digest_as_it_is(tmp_path: Path, processes: P
     outcome = controlled.end()
     assert outcome.summary.status == "ok"
     assert outcome.summary.digest == plain.summary.digest
+    # registers that were shown once more are neither recorded nor counted again
+    assert load(controlled.folder).register_tick.tolist() == list(range(TICKS))
+    assert outcome.summary.messages == plain.summary.messages
     kinds = [record["kind"] for record in load(controlled.folder).control]
     assert kinds == ["step"] * 100 + ["resume"]
 

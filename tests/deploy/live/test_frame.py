@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import replace
 
+import msgpack
 import numpy as np
 import pytest
 
@@ -57,3 +58,10 @@ def test_nothing_but_a_frame_is_decoded() -> None:
             decode(bytes(changed))
         except DeployError as error:
             assert "not a frame" in str(error)  # noqa: PT017
+
+
+def test_presence_bits_that_are_not_there_are_refused_before_room_is_made_for_them() -> None:
+    fields = msgpack.unpackb(FRAME.encode())
+    fields["presence"][0] = 10**12
+    with pytest.raises(DeployError, match="5 bytes of presence bits for 7 cells with 1000000000000 sensors"):
+        decode(msgpack.packb(fields))

@@ -17,8 +17,8 @@ from PIL import Image
 from deploy.cli import main
 from deploy.plots import theme
 from deploy.plots.animation import draw_animation
+from deploy.plots.arrows import round_below
 from deploy.plots.kinds import KINDS, draw_kind
-from deploy.plots.scale import round_below
 from deploy.recordings.reader import Recording, load
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
