@@ -238,3 +238,22 @@ def test_without_effects_nothing_stands_between_the_senses_and_the_firmware(
         shard = Shard(Board(firmware), everything(lattice), Partition.even(lattice, 1), 0, effects)
         shard.step(0, presence)
         assert (firmware.seen.presence is presence) == (effects is None)
+
+
+def test_registers_show_the_messages_of_live_cells_by_side() -> None:
+    lattice = Lattice((row, column) for row in range(2) for column in range(3))
+    position_m = np.stack((0.1 * lattice.columns, 0.1 * lattice.rows), axis=1)
+    cells = Cells.of(lattice, position_m, 0.004)
+    shard = Shard(Board(Gossip(NoParameters())), cells, Partition.even(lattice, 1), 0)
+    shard.step(0, np.zeros((6, 1), dtype=np.bool_))
+    assert not any(name.startswith("message.") for name in shard.registers()[1])
+    shard.shows_messages = True
+    shard.retire([(0, 1)])
+    shard.step(1, np.zeros((6, 1), dtype=np.bool_))
+    places, registers = shard.registers()
+    assert places.tolist() == [[0, 0], [0, 2], [1, 0], [1, 1], [1, 2]]
+    u, n = registers["firmware.u"], registers["firmware.n"]
+    sent = registers["message.sent"]
+    np.testing.assert_array_equal(sent, (n[:, None] + np.arange(4)) % 3 != 0)
+    assert sent.any()
+    np.testing.assert_array_equal(registers["message.u"][sent], (u[:, None] * (1.0 + np.arange(4)))[sent])

@@ -137,6 +137,23 @@ def test_a_reset_begins_again_in_a_new_folder_and_a_stop_ends(tmp_path: Path) ->
     assert outcome.summary.ticks == 3
 
 
+def test_a_fault_comes_once_with_the_frames_and_its_cell_is_lost(tmp_path: Path) -> None:
+    controlled = Controlled(tmp_path / "run")
+    live = controlled.live
+    live.step(2)
+    number = live.inject("crash", cell=[1, 2])
+    live.step(2)
+    frames = [live.frame() for _ in range(3)]
+    assert [len(frame.faults) for frame in frames] == [1, 0, 0]
+    cell = live.header["cells"].index([1, 2])
+    assert [int(frame.health[cell]) for frame in frames] == [2, 2, 2]
+    live.repair(number)
+    live.step()
+    assert live.frame().health[cell] == 0
+    live.stop()
+    controlled.end()
+
+
 def shown(live: LiveRun) -> Iterator[RunFrame]:
     """All frames until the run ends."""
     with suppress(DeployError):

@@ -16,12 +16,12 @@ def kinds(live: Live) -> list[str]:
 
 
 def requests(live: Live, *later: Any) -> None:
-    """Have requests come one after another, each when the one before was answered."""
-    waiting = list(later)
+    """Have requests come one after another, with a look into the empty queue after each."""
+    waiting = [entry for request in later for entry in (request, None)]
 
     def drain() -> Any:
-        if not live.payloads and waiting:
-            live.send(waiting.pop(0))
+        if waiting and (request := waiting.pop(0)) is not None:
+            live.send(request)
         return Live.drain(live)
 
     live.server._requests = type("Queue", (), {"drain": staticmethod(drain)})()  # pyright: ignore[reportPrivateUsage]
