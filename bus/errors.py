@@ -41,7 +41,6 @@ class PartitionError(BusError):
     """An invalid partition of the lattice: a cell in no shard or in two."""
 
 
-@final
 class TransportError(BusError):
     """A failed operation of a transport: a port in use, no listener, a forked session."""
 

@@ -103,7 +103,9 @@ def _value(action: Action, value: str | None) -> dict[str, Any]:
             factor = 0.0
         if 0 < factor < float("inf"):
             return {"factor": factor}
-        raise InputError(f"control speed {value or ''}: must be a factor greater than 0, or max")
+        raise InputError(
+            f"control speed{'' if value is None else f' {value}'}: must be a factor greater than 0, or max"
+        )
     if value is not None:
         raise InputError(f"control {action.value}: takes no value")
     return {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from bus.transports.zenoh import ZenohEndpoint
 
 FILE_NAME: Final = "live.json"
+_AGAIN_S: Final = 0.05
+"""Interval at which a run that is still starting is asked again, wall seconds."""
 
 
 @final
@@ -145,11 +148,8 @@ def ask_at(
         RequestError: The run refuses the request; the message says why.
         DeployError: The run doesn't answer in time.
     """
-    from bus.transports.zenoh.requests import send_request
-
     try:
-        text = send_request(endpoint, plant_key("*", "operator"), json.dumps(request).encode(), timeout_s)
-        answer = _answer(json.loads(text))
+        answer = _answer(json.loads(_sent(endpoint, json.dumps(request).encode(), timeout_s)))
     except TransportError as error:
         raise DeployError(f"{connect}: {error}") from None
     except (ValueError, RecursionError):
@@ -157,6 +157,22 @@ def ask_at(
     if not answer["ok"]:
         raise RequestError(*answer["problems"])
     return answer
+
+
+def _sent(endpoint: ZenohEndpoint, payload: bytes, timeout_s: float) -> bytes:
+    """Send a request, again and again while the run is still starting; return the response."""
+    from bus.transports.zenoh.requests import NoResponderError, send_request
+
+    left_s = timeout_s
+    while True:
+        begun = time.monotonic()
+        try:
+            return send_request(endpoint, plant_key("*", "operator"), payload, left_s)
+        except NoResponderError:
+            time.sleep(_AGAIN_S)
+            left_s -= time.monotonic() - begun
+            if left_s <= 0.0:
+                raise
 
 
 def _answer(found: object) -> dict[str, Any]:

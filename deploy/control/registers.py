@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -12,6 +13,7 @@ from bus.errors import WireError
 from bus.lockstep.registers import decode_registers
 from bus.transports.base import Received
 from bus.wire.keys import shard_key
+from deploy.control.client import ask_at
 from deploy.errors import DeployError, InputError
 from deploy.security.session import operator_session
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from bus.transports.base import Endpoint
+    from bus.transports.zenoh import ZenohEndpoint
 
 Cell = tuple[int, int]
 
@@ -27,6 +30,8 @@ KEYS: Final = shard_key("*", None, "registers")
 
 _MOST_CELLS: Final = 1_000_000
 """Most cells of a shard, which bounds the size of a frame."""
+_ATTEMPT_S: Final = 1.0
+"""Wall time after which the request for registers is repeated."""
 _TOGETHER_S: Final = 1.0
 """Wall time after the first frame in which the other shards' frames arrive; shards publish five times a second."""
 
@@ -62,13 +67,41 @@ def read_registers(
         InputError: No plant listens there, the plant doesn't accept the keys, or wanted cells are missing or dead.
         DeployError: No registers arrived in time.
     """
-    begun = time.monotonic()
+    deadline = time.monotonic() + timeout_s
     endpoint = operator_session(connect, timeout_s, keys)
     try:
         endpoint.subscribe(KEYS)
-        return collect(endpoint, set(wanted), begun + timeout_s)
+        return request_registers(endpoint, connect, set(wanted), deadline)
     finally:
         endpoint.close()
+
+
+def request_registers(
+    endpoint: ZenohEndpoint, connect: str, wanted: set[Cell], deadline: float
+) -> RegisterReadings:
+    """Request and collect registers over a session subscribed to ``KEYS``; a paused run publishes on request alone.
+
+    The subscription takes a moment to reach the cells, so that the request is repeated.
+
+    Args:
+        endpoint: The session.
+        connect: Its endpoint, named in errors.
+        wanted: Cells to read; empty: all cells that answer.
+        deadline: A time of ``time.monotonic``, s.
+
+    Raises:
+        InputError: Wanted cells are missing or dead.
+        DeployError: No registers arrived in time.
+    """
+    while True:
+        attempt = min(deadline, time.monotonic() + _ATTEMPT_S)
+        with suppress(DeployError):  # a plant that waits for a cell doesn't answer, but other cells publish
+            ask_at(endpoint, connect, {"op": "show"}, max(attempt - time.monotonic(), 0.01))
+        try:
+            return collect(endpoint, wanted, attempt)
+        except (DeployError, InputError):
+            if attempt >= deadline:
+                raise
 
 
 def collect(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> RegisterReadings:
@@ -82,7 +115,7 @@ def collect(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> RegisterR
             deadline = min(deadline, time.monotonic() + _TOGETHER_S)
         _take(seen, event)
     if not seen.cells:
-        raise DeployError("no cell published registers in time: has the run ended, or does it stand still?")
+        raise DeployError("no cell published registers in time: has the run ended, or has it not begun?")
     missing = sorted(wanted - seen.cells.keys())
     if missing:
         names = ", ".join(f"{row},{column}" for row, column in missing)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Self, cast, final
 from bus.errors import TransportError
 from bus.wire.keys import plant_key
 from deploy.control.client import ask_at, discover
-from deploy.control.registers import KEYS, Cell, RegisterReadings, collect
+from deploy.control.registers import KEYS, Cell, RegisterReadings, request_registers
 from deploy.errors import DeployError
 from deploy.live.frame import RunFrame, decode
 from deploy.security.session import operator_session
@@ -132,17 +132,10 @@ class LiveRun:
             self._subscribed = True
         while self._endpoint.receive(0.0) is not None:
             pass  # older ones
-        wanted, deadline = set(cells), time.monotonic() + self._timeout_s
-        while True:
-            # A paused run publishes on request. The subscription takes a moment to reach the cells.
-            self.request({"op": "show"})
-            try:
-                found = collect(self._endpoint, wanted, min(deadline, time.monotonic() + _ATTEMPT_S))
-                found.cells = {cell: own for cell, own in found.cells.items() if not wanted or cell in wanted}
-                return found
-            except DeployError:
-                if time.monotonic() >= deadline:
-                    raise
+        wanted = set(cells)
+        found = request_registers(self._endpoint, self.connect, wanted, time.monotonic() + self._timeout_s)
+        found.cells = {cell: own for cell, own in found.cells.items() if not wanted or cell in wanted}
+        return found
 
     # --- control -----------------------------------------------------------------------------------
 

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 
 from deploy.checkpoints.store import CheckpointStore
 from deploy.errors import InputError
+from deploy.plots.kinds import KINDS
 from deploy.plots.overview import FILE_NAME as PICTURE
 from deploy.protocol_report.report import CSV as PROTOCOL_CSV
 from deploy.protocol_report.report import PICTURE as PROTOCOL_PICTURE
+from deploy.recordings.exports.names import FILES as EXPORTS
 from deploy.runs.output import run_name
 from deploy.util.files import SUMMARY
 from deploy.util.output_lock import locked_folder, new_folder
@@ -44,12 +46,13 @@ def output_folder(scene: Scene, wanted: Path | None, warn: Callable[[str], None]
 
 
 def remove_results(folder: Path) -> None:
-    """Remove the results of an earlier run, except its recording and checkpoints.
+    """Remove the results of an earlier run, and plots and exports of these, except its recording and checkpoints.
 
     Raises:
         InputError: A file can't be removed.
     """
-    for name in (SUMMARY, PICTURE, PROTOCOL_CSV, PROTOCOL_PICTURE):
+    plots = (f"{kind}.png" for kind in KINDS)
+    for name in (SUMMARY, PICTURE, PROTOCOL_CSV, PROTOCOL_PICTURE, *plots, *EXPORTS):
         _remove(folder, name)
     for draft in folder.glob(".*.draft"):  # of a process that was killed while it wrote
         with suppress(OSError):
@@ -58,6 +61,8 @@ def remove_results(folder: Path) -> None:
 
 def _remove(folder: Path, name: str) -> None:
     try:
-        (folder / name).unlink(missing_ok=True)
+        (folder / name).unlink()
+    except (FileNotFoundError, NotADirectoryError):
+        return
     except OSError as error:
         raise InputError(f"output {folder}: can't replace {name} there: {error.strerror or error}") from None

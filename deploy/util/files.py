@@ -28,7 +28,9 @@ def atomic_write(path: Path) -> Generator[Path]:
         yield draft
         draft.replace(path)
     except OSError as error:
-        raise DeployError(f"can't write {path}: {error.strerror or error}") from error
+        # a library may put a story into strerror
+        why = error if error.errno is None else os.strerror(error.errno)
+        raise DeployError(f"can't write {path}: {why}") from error
     finally:
         with suppress(OSError):
             draft.unlink()

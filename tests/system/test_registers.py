@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 
 from bus.transports.zenoh.endpoint import free_port  # pyright: ignore[reportPrivateUsage]
+from deploy.cli import main
+from deploy.control.client import discover
+from deploy.control.registers import read_registers
 from deploy.recordings.reader import load
 from tests.system.running import Mdms
 
@@ -99,3 +102,15 @@ def test_what_cannot_be_looked_at_is_said_in_a_line(
     assert (status, stdout) == (2, "")
     assert words in stderr
     assert stderr.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_paused_run_shows_its_cells_too(mdms: Callable[..., Mdms], tmp_path: Path) -> None:
+    running = mdms("run", "motors", "--paused", "--no-picture", "--processes", "2", output=tmp_path / "run")
+    running.wait_for((tmp_path / "run" / "live.json").exists, "its address was there")
+    assert main(["control", "step", "30", "--run", str(tmp_path / "run"), "--timeout", "30"]) == 0
+    seen = read_registers(discover(tmp_path / "run").connect, [(0, 0)], 10.0)
+    assert seen.tick == 29
+    assert (0, 0) in seen.cells
+    running.process.send_signal(signal.SIGINT)
+    assert running.end()[0] == 130

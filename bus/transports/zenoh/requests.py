@@ -17,6 +17,10 @@ _WAITING: Final = 64
 """Most requests that wait for the next tick; beyond, the oldest get no response."""
 
 
+class NoResponderError(TransportError):
+    """Nobody takes requests on a key."""
+
+
 @final
 class IncomingRequest:
     """One request.
@@ -71,6 +75,7 @@ def send_request(endpoint: ZenohEndpoint, key: str, payload: bytes, timeout_s: f
     """Send a request and wait for the response.
 
     Raises:
+        NoResponderError: Nobody takes requests on that key, or not yet.
         TransportError: No response on that key in time.
     """
     endpoint.check_usable()
@@ -82,4 +87,4 @@ def send_request(endpoint: ZenohEndpoint, key: str, payload: bytes, timeout_s: f
             raise TransportError(f"no answer within {timeout_s:g} s: {reply.err.payload.to_string()}")
     except zenoh.ZError as error:
         raise TransportError(f"ask {key}: {first_line(error)}") from None
-    raise TransportError("no run answers at this endpoint")
+    raise NoResponderError("no run answers at this endpoint")

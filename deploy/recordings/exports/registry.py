@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from deploy.errors import InputError
 from deploy.recordings.exports.delimited import export_csv
 from deploy.recordings.exports.foxglove import export_foxglove
+from deploy.recordings.exports.names import DEFAULT
 from deploy.recordings.exports.netcdf import export_netcdf
 from deploy.recordings.exports.parquet import export_parquet
 
@@ -29,10 +30,10 @@ class Export(NamedTuple):
 
 
 EXPORTS: Final[Mapping[str, Export]] = {
-    "netcdf": Export(export_netcdf, "recording.nc"),
-    "parquet": Export(export_parquet, "parquet"),
-    "csv": Export(export_csv, "csv"),
-    "foxglove": Export(export_foxglove, "foxglove.mcap"),
+    "netcdf": Export(export_netcdf, DEFAULT["netcdf"]),
+    "parquet": Export(export_parquet, DEFAULT["parquet"]),
+    "csv": Export(export_csv, DEFAULT["csv"]),
+    "foxglove": Export(export_foxglove, DEFAULT["foxglove"]),
 }
 """Every format."""
 

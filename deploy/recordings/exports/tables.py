@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from deploy.errors import InputError
 from deploy.recordings.exports.dataset import present
 from deploy.recordings.exports.extra import library
+from deploy.recordings.exports.names import TableName
 from deploy.recordings.format import PARCEL_NUMBERS
 
 if TYPE_CHECKING:
     import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
 
     from deploy.recordings.exports.source import RecordingSource
-
-TableName = Literal["parcels", "events", "faults", "control"]
 
 
 def to_pandas(recording: RecordingSource, table: TableName = "parcels") -> pd.DataFrame:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,10 +20,12 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from deploy.cli import main
 from deploy.errors import InputError
+from deploy.plots.kinds import draw_kind
 from deploy.recordings.exports.registry import EXPORTS, export_recording
 from deploy.recordings.format import PARCEL_NUMBERS
 from deploy.recordings.reader import Recording, load
 from deploy.recordings.writer import Recorder
+from deploy.runs.output_folder import remove_results
 
 Make = Callable[..., Any]
 TIERED = [pytest.param(to, marks=[pytest.mark.slow] if to == "netcdf" else []) for to in EXPORTS]
@@ -295,3 +298,22 @@ def test_a_library_that_is_not_installed_is_an_error_that_names_the_extra(
     assert f"needs {module.partition('.')[0]}, which comes with the extra export" in error
     assert "pip install 'mdms-emulator[export]'" in error
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_the_next_run_in_a_folder_removes_every_file_that_exports_and_plots_write_there(
+    recording: Recording, tmp_path: Path
+) -> None:
+    folder = tmp_path / "used"
+    folder.mkdir()
+    moved = folder / recording.path.name
+    moved.write_bytes(recording.path.read_bytes())
+    for form in EXPORTS:
+        export_recording(load(moved), form)
+    draw_kind(load(moved), "time", folder / "time.png")
+    (folder / "csv" / "own.csv").write_text("kept")
+    remove_results(folder)
+    assert sorted(path.name for path in folder.rglob("*") if path.is_file()) == ["own.csv", "recording.mcap"]
+    shutil.rmtree(folder / "csv")
+    (folder / "csv").write_text("a file of that name")
+    remove_results(folder)
