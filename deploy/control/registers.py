@@ -77,7 +77,7 @@ def read_registers(
 
 
 def request_registers(
-    endpoint: ZenohEndpoint, connect: str, wanted: set[Cell], deadline: float
+    endpoint: ZenohEndpoint, connect: str, wanted: set[Cell], deadline: float, most: int = _MOST_CELLS
 ) -> RegisterReadings:
     """Request and collect registers over a session subscribed to ``KEYS``; a paused run publishes on request alone.
 
@@ -88,6 +88,7 @@ def request_registers(
         connect: Its endpoint, named in errors.
         wanted: Cells to read; empty: all cells that answer.
         deadline: A time of ``time.monotonic``, s.
+        most: Number of the run's cells, as far as it is known.
 
     Raises:
         InputError: Wanted cells are missing or dead.
@@ -98,16 +99,27 @@ def request_registers(
         with suppress(DeployError):  # a plant that waits for a cell doesn't answer, but other cells publish
             ask_at(endpoint, connect, {"op": "show"}, max(attempt - time.monotonic(), 0.01))
         try:
-            return collect(endpoint, wanted, attempt)
+            return collect(endpoint, wanted, attempt, most)
         except (DeployError, InputError):
             if attempt >= deadline:
                 raise
 
 
-def collect(endpoint: Endpoint, wanted: set[Cell], deadline: float) -> RegisterReadings:
-    """Collect registers from an endpoint subscribed to ``KEYS``; ``deadline`` is a time of ``time.monotonic``, s."""
+def collect(
+    endpoint: Endpoint, wanted: set[Cell], deadline: float, most: int = _MOST_CELLS
+) -> RegisterReadings:
+    """Collect registers from an endpoint subscribed to ``KEYS``.
+
+    Args:
+        endpoint: The endpoint.
+        wanted: Cells to read; empty: all cells that answer.
+        deadline: A time of ``time.monotonic``, s.
+        most: Number of cells beyond which there are no others to wait for.
+    """
     seen = RegisterReadings()
     while (left := deadline - time.monotonic()) > 0 and not (wanted and wanted <= seen.cells.keys()):
+        if len(seen.cells) >= most:
+            break
         event = endpoint.receive(left)
         if not isinstance(event, Received):
             continue

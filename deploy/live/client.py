@@ -133,7 +133,8 @@ class LiveRun:
         while self._endpoint.receive(0.0) is not None:
             pass  # older ones
         wanted = set(cells)
-        found = request_registers(self._endpoint, self.connect, wanted, time.monotonic() + self._timeout_s)
+        deadline, most = time.monotonic() + self._timeout_s, len(self.header["cells"])
+        found = request_registers(self._endpoint, self.connect, wanted, deadline, most)
         found.cells = {cell: own for cell, own in found.cells.items() if not wanted or cell in wanted}
         return found
 

@@ -32,3 +32,13 @@ def test_frames_that_are_none_are_passed_over_and_the_last_word_of_a_cell_stands
     seen = collect(viewer, {(0, 1), (2, 2)}, time.monotonic() + 5.0)
     assert (seen.run, seen.tick) == ("run-1", 4)
     assert seen.cells == {(0, 1): {"a": 2.0}, (2, 2): {"a": 3.0}}
+
+
+def test_all_cells_are_no_longer_waited_for_than_until_they_have_answered() -> None:
+    bus = MemoryBus()
+    cells, viewer = bus.endpoint(), bus.endpoint()
+    viewer.subscribe(KEYS)
+    cells.publisher("mdms/run-1/shard/0/registers").put(frame(4, [[0, 1], [2, 2]], a=[2.0, 3.0]))
+    begun = time.monotonic()
+    assert len(collect(viewer, set(), begun + 60.0, 2).cells) == 2
+    assert time.monotonic() - begun < 0.9  # the time in which other shards would answer
