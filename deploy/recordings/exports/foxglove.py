@@ -1,7 +1,8 @@
 """Export for Foxglove: an MCAP file of its own messages as protobuf, and a layout for its panels.
 
-Twenty pictures a simulated second: transforms of the parcels (``/tf``) and a grid of the cells (``/cells``). A parcel's
-body is sent once, when the parcel appears (``/parcels``), and moves with its transform.
+Twenty pictures a simulated second: transforms of the parcels (``/tf``), a grid of the cells (``/cells``), and the
+colours of the grid as an image (``/image``) for viewers that don't know grids. A parcel's body is sent once, when the
+parcel appears (``/parcels``), and moves with its transform.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ PICTURES_HZ: Final = 20
 HEIGHT_M: Final = 0.05
 """Height of a parcel in the picture; recordings have none."""
 WORLD: Final = "world"
-_TF, _PARCELS, _CELLS, _EVENTS = "/tf", "/parcels", "/cells", "/events"
+_TF, _PARCELS, _CELLS, _IMAGE, _EVENTS = "/tf", "/parcels", "/cells", "/image", "/events"
+_IMAGE_PX: Final = 64
+"""Least size of the image's longer side, as far as whole pixels a cell go, pixels."""
 _GREY = (0.88, 0.9, 0.93)
 _COVERED = (0.55, 0.65, 0.8)
 _FIELDS: Final = (
@@ -110,7 +113,9 @@ class _Pictures:
                 yield change
             shown = self._present[row]
             yield self._transforms(time_ns, row)
-            yield self._grid(time_ns, row)
+            cells = self._grid_data(row)
+            yield self._grid(time_ns, cells)
+            yield self._image(time_ns, cells)
 
     def _rows(self) -> list[int]:
         """Instants of pictures: the nearest to each multiple of the period, the first and the last."""
@@ -158,7 +163,7 @@ class _Pictures:
             transform.rotation.z, transform.rotation.w = math.sin(0.5 * angle), math.cos(0.5 * angle)
         return _Message(_TF, time_ns, message)
 
-    def _grid(self, time_ns: int, row: int) -> _Message:
+    def _grid(self, time_ns: int, cells: NDArray[Any]) -> _Message:
         columns = self._shape[1]
         pitch = self._recording.header["pitch_m"]
         message = _make("Grid")
@@ -177,8 +182,22 @@ class _Pictures:
             field = message.fields.add()
             field.name, field.offset = name, offsets[name][1]
             field.type = field.NumericType.Value(kind)
-        message.data = self._grid_data(row).tobytes()
+        message.data = cells.tobytes()
         return _Message(_CELLS, time_ns, message)
+
+    def _image(self, time_ns: int, cells: NDArray[Any]) -> _Message:
+        """Return the cells' colours, the highest row first; white where there is no cell."""
+        shades = np.stack([cells[name] for name in ("red", "green", "blue")], axis=-1)
+        shades[cells["alpha"] == 0] = 255
+        scale = max(1, _IMAGE_PX // max(self._shape))
+        pixels = shades[::-1].repeat(scale, axis=0).repeat(scale, axis=1)
+        message = _make("RawImage")
+        _stamp(message.timestamp, time_ns)
+        message.frame_id, message.encoding = WORLD, "rgb8"
+        message.height, message.width, _ = pixels.shape
+        message.step = 3 * message.width
+        message.data = pixels.tobytes()
+        return _Message(_IMAGE, time_ns, message)
 
     def _grid_data(self, row: int) -> NDArray[Any]:
         """Fields of every place of the grid, ``(rows, columns)``; a place without a cell is transparent."""

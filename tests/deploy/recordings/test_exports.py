@@ -184,6 +184,7 @@ def test_foxglove_gets_its_own_messages_twenty_times_a_second(tmp_path: Path, ma
     assert kinds == {
         "/tf": ("foxglove.FrameTransforms", "protobuf"),
         "/cells": ("foxglove.Grid", "protobuf"),
+        "/image": ("foxglove.RawImage", "protobuf"),
         "/parcels": ("foxglove.SceneUpdate", "protobuf"),
         "/events": ("foxglove.Log", "protobuf"),
     }
@@ -227,11 +228,19 @@ def test_an_array_with_holes_has_transparent_places(tmp_path: Path, made_up_run:
         recorder.close("ok")
     path, _ = export_recording(load(tmp_path), "foxglove")
     with path.open("rb") as stream:
-        *_, (_, _, _, grid) = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(
-            topics=["/cells"]
-        )
+        last = {
+            channel.topic: content
+            for _, channel, _, content in make_reader(
+                stream, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages(topics=["/cells", "/image"])
+        }
+    grid, image = last["/cells"], last["/image"]
     alpha = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.cell_stride)[:, 3]
     assert alpha.tolist() == [255, 255, 0, 255, 255, 0]
+    pixels = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step // 3, 3)
+    assert (image.width, image.height, image.encoding) == (42, 63, "rgb8")
+    white = (pixels[10::21, 10::21] == 255).all(axis=-1)
+    assert white.tolist() == [[False, True], [True, False], [False, False]]
 
 
 @pytest.mark.parametrize("to", TIERED)
