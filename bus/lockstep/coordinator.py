@@ -39,6 +39,8 @@ _POLL_S: Final = 0.01
 """Polling interval for matches, which cause no event, wall seconds."""
 _PATIENCE: Final = 9
 """Additional deadlines for a shard that reports ``busy``."""
+_SLICE: Final = 0.125
+"""Longest single wait, as a share of the deadline: a longer stop of this process itself doesn't count against cells."""
 _BEFORE: Final = -1
 """In place of a tick: before the first. In place of a shard: all sides of a run before it was resumed."""
 
@@ -233,7 +235,8 @@ class Coordinator:
         """Wait until every expected drive for ``tick`` has arrived or its cell has been dropped.
 
         A cell is dropped after ``stall.deadline_s``; a shard that keeps reporting ``busy`` gets ten times as long.
-        No deadline runs while a debugger holds a cell.
+        No deadline runs while a debugger holds a cell, nor while this process itself doesn't run (it is stopped, or its
+        host suspended): the cells may not have run either, and their drives may wait in its sockets.
 
         Args:
             tick: Must go up from call to call.
@@ -250,22 +253,28 @@ class Coordinator:
         read, clock = self._inbox.poll, self._clock
         deadline = clock() + self._stall.deadline_s
         latest = deadline + _PATIENCE * self._stall.deadline_s
+        longest = _SLICE * self._stall.deadline_s
         while True:
             if self._roll.unhandled_departures or self._reported.failed:
                 self._membership.drop_failed(tick, self._reported.drain_failed())
                 self._membership.drop_disconnected(tick, slot.have)
             if slot.missing <= 0 and self._drives.settle():
                 break
-            if not read(max(deadline - clock(), 0.0), slot.missing) and clock() >= deadline:
+            begun = clock()
+            wait = min(max(deadline - begun, 0.0), longest)
+            came = read(wait, slot.missing)
+            now = clock()
+            if (overslept := now - begun - wait) > longest:
+                deadline += overslept
+                latest += overslept
+            if not came and now >= deadline:
                 self._drives.settle()
                 if self._reported.drain_held(tick):
-                    deadline = clock() + self._stall.deadline_s
+                    deadline = now + self._stall.deadline_s
                     latest = deadline + _PATIENCE * self._stall.deadline_s
                     continue
-                self._membership.drop_timed_out(
-                    tick, self._reported.drain_busy(tick) if clock() < latest else ()
-                )
-                deadline = min(clock() + self._stall.deadline_s, latest)
+                self._membership.drop_timed_out(tick, self._reported.drain_busy(tick) if now < latest else ())
+                deadline = min(now + self._stall.deadline_s, latest)
         return DriveFrame(tick, self._close(tick)), self._membership.drain_losses()
 
     def _refuse_drive(self, unit: int, error: WireError) -> None:

@@ -218,10 +218,11 @@ def _rename(name: str) -> None:
 
 
 def _told(error: BaseException) -> str:
-    """Return the traceback; of a firmware failure, only the firmware's own part."""
+    """Return the traceback; of a firmware failure, only the firmware's own part, of a lost plant one line."""
+    from bus.errors import CoordinatorLostError
     from cell_firmware.errors import FirmwareFailed
 
-    return str(error) if isinstance(error, FirmwareFailed) else traceback.format_exc()
+    return str(error) if isinstance(error, (FirmwareFailed, CoordinatorLostError)) else traceback.format_exc()
 
 
 def one_line(error: BaseException) -> str:

@@ -21,11 +21,23 @@ from bus.lockstep import Loss
 from bus.partition import Partition
 from bus.spec import StallSpec
 from bus.transports.base import Event, LivelinessChange, Received
-from bus.transports.zenoh import client_config, hub_config, open_client, open_hub
+from bus.transports.zenoh import AccessPolicy, client_config, hub_config, open_client, open_hub, open_outside
 from bus.transports.zenoh.receive import drain as drain_channels
 from tests.bus.support import Network, System, drain, grid, payloads, settle, tokens
 
 ROOT = str(Path(__file__).resolve().parents[2])
+_STUCK = """
+import os, sys
+sys.path.insert(0, sys.argv[1])
+import zenoh
+from tests.system.listener import plain_client
+session = plain_client(sys.argv[2])
+sample = session.declare_subscriber("t/**", zenoh.handlers.FifoChannel(1))
+tokens = session.liveliness().declare_subscriber("t/**", zenoh.handlers.FifoChannel(1))
+sample.recv()
+sys.stdin.read()
+os._exit(0)
+"""
 _CELL = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
@@ -103,6 +115,31 @@ def test_a_killed_process_loses_its_token_at_once_and_a_stopped_one_with_its_lea
         cell.kill()
         cell.wait()
         hub.close()
+
+
+def test_a_listener_that_reads_nothing_holds_up_no_declaration_of_the_mirror() -> None:
+    outside = open_outside(None, gate=AccessPolicy(None, '{"enabled": false}'))
+    listener = subprocess.Popen(
+        [sys.executable, "-c", _STUCK, ROOT, outside.locator], stdin=subprocess.PIPE, cwd=ROOT
+    )
+    try:
+        publisher = outside.session.declare_publisher(
+            "t/data", congestion_control=zenoh.CongestionControl.DROP
+        )
+        matching = cast("Any", publisher)
+        while not matching.matching_status.matching:
+            time.sleep(0.01)
+        # 60 MB, more than its link's queue and sockets hold. Zenoh sends the first while the last are dropped.
+        for _ in range(1_000):
+            publisher.put(b"x" * 60_000)
+            time.sleep(0.0005)
+        begun = time.perf_counter()
+        outside.declare_alive("t/token")
+        assert time.perf_counter() - begun < 2.5, "half of what Zenoh would wait by itself"
+    finally:
+        listener.kill()
+        listener.communicate()
+        outside.close()
 
 
 def test_a_payload_that_is_too_large_is_dropped_as_it_comes_in_and_the_next_arrives(

@@ -96,6 +96,8 @@ _INTO_MIRROR: Final = 1 << 20
 """Bytes of the largest message that the mirror's session takes."""
 _QUEUE: Final = 16
 """Batches of 64 kB that wait on each link of the mirror, the most that Zenoh has; 2 by default."""
+_PATIENCE_US: Final = 100_000
+"""Wait for a listener whose link is full before the mirror closes that link, µs; 5 s by default."""
 LEASE_S: Final = 2.0
 """Silence after which the other side takes a process for dead, s; each session's own lease governs its token."""
 
@@ -130,6 +132,8 @@ def mirror_config(listen: str, lease_s: float, gate: AccessPolicy) -> zenoh.Conf
     _set(config, "transport/link/rx/max_message_size", str(_INTO_MIRROR))
     # A burst of a tick waits here for a listener that reads; what does not fit is dropped.
     _set(config, "transport/link/tx/queue/size/data", str(_QUEUE))
+    # Declarations and replies are never dropped. A thread that sends one holds up whoever shares that thread.
+    _set(config, "transport/link/tx/queue/congestion_control/block/wait_before_close", str(_PATIENCE_US))
     return config
 
 

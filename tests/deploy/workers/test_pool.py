@@ -13,6 +13,7 @@ from socket import socketpair
 
 import pytest
 
+from bus.errors import CoordinatorLostError
 from cell_firmware.errors import FirmwareFailed
 from deploy.workers.pool import WorkerError, WorkerPool, describe_exit
 from tests.deploy.workers import forked
@@ -71,6 +72,18 @@ def test_of_a_firmware_that_fails_the_line_is_said_once_and_its_own_traceback_sh
         (failure,) = crew.failures
         assert failure.error == "firmware of cell 3,4 failed in tick 0: init: KeyError: 'x'"
         assert failure.detail == f"{failure.error}\nTraceback of worker 0\nKeyError: 'x'\n"
+
+
+def _lose_the_plant(worker: int) -> None:
+    raise CoordinatorLostError(f"the plant left; shard {worker} waited for tick 7")
+
+
+def test_a_worker_that_lost_its_plant_has_no_traceback() -> None:
+    with WorkerPool() as crew:
+        crew.start(_lose_the_plant, ["cells 0"])
+        assert crew.wait(20.0)
+        (failure,) = crew.failures
+        assert failure.detail == failure.error == "the plant left; shard 0 waited for tick 7"
 
 
 def test_a_worker_that_is_killed_is_reported_with_the_signal() -> None:
