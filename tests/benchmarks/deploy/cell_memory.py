@@ -6,18 +6,17 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
-import re
 import statistics
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 # the server that forks the workers knows no other way to find their modules
 os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
+
+from process_memory import descendants, megabytes
 
 from deploy.runs.backends import Workers
 from deploy.runs.simulation import Simulation
@@ -32,21 +31,6 @@ those that share them. Private: pages that it wrote to."""
 
 HEAVY = ("scipy/linalg", "matplotlib", "PIL", "mcap", "lz4")
 """Libraries that no process of cells needs, looked for among its mapped files: those of Python alone are missed."""
-
-
-def _descendants(pid: int) -> Iterator[int]:
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        with contextlib.suppress(FileNotFoundError):  # the thread has ended
-            for child in map(int, (task / "children").read_text().split()):
-                yield child
-                yield from _descendants(child)
-
-
-def _mb(pid: int, what: str) -> float:
-    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
-    found = re.search(rf"^{what}:\s+(\d+) kB", text, re.MULTILINE)
-    assert found is not None
-    return int(found[1]) / 1024
 
 
 def _processor_s(pid: int) -> float:
@@ -74,12 +58,12 @@ def main() -> None:
     with Simulation.open(scene, Workers("each")) as simulation:
         simulation.step()
         ready = time.perf_counter() - begun
-        server, *cells = _descendants(os.getpid())
+        server, *cells = descendants(os.getpid())
         processor = [_processor_s(os.getpid()), _processor_s(server), sum(map(_processor_s, cells))]
         for _ in range(given.ticks):
             simulation.step()
-        pss = sorted(_mb(pid, "Pss") for pid in cells)
-        private = statistics.median(_mb(pid, "Private_Dirty") for pid in cells)
+        pss = sorted(megabytes(pid, "Pss") for pid in cells)
+        private = statistics.median(megabytes(pid, "Private_Dirty") for pid in cells)
         mapped = Path(f"/proc/{cells[-1]}/maps").read_text()
     print(f"ready after {ready:.1f} s, load {os.getloadavg()[0]:.1f} by then")
     print("processor time: {:.1f} s here, {:.1f} s fork server, {:.1f} s cells".format(*processor))

@@ -12,15 +12,15 @@ import signal
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
-from deploy.errors import DeployError, InputError
+from heat_run import rate_of, running
+
 from deploy.live.client import LiveRun
 
 METHOD = """\
@@ -55,42 +55,6 @@ def viewer(connect: str, rate: float, *, stopped: bool) -> Iterator[None]:
         process.wait()
 
 
-def rate_of(run: LiveRun, seconds: float) -> float:
-    """Return the ticks a second of the run."""
-    before, begun = run.status()["tick"], time.perf_counter()
-    time.sleep(seconds)
-    after = run.status()["tick"]
-    return (after - before) / (time.perf_counter() - begun)
-
-
-@contextmanager
-def running(cells: int) -> Iterator[LiveRun]:
-    """Run the scene inside the context."""
-    side = round(cells**0.5)
-    with tempfile.TemporaryDirectory() as folder:
-        command = [
-            sys.executable, "-c", "from deploy.cli import main; main()", "run", "heat", "--duration", "1e6", "-q",
-            "--no-picture", "--output", folder, "--set", f"array.rows={side}", "--set", f"array.columns={side}",
-            "--set", f"cells.parameters.held=[{{ columns = [0, {side - 1}], speed_m_s = [0.3, 0.0] }}]",
-        ]  # fmt: skip
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        try:
-            with attached(Path(folder), process) as run:
-                yield run
-        finally:
-            process.terminate()
-            process.wait()
-
-
-def attached(folder: Path, process: subprocess.Popen[bytes]) -> LiveRun:
-    """Attach as soon as the run answers."""
-    while process.poll() is None:
-        with suppress(InputError, DeployError):
-            return LiveRun.attach(folder)
-        time.sleep(0.1)
-    raise SystemExit("the run has ended")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cells", type=int, default=10_000, help="number of cells")
@@ -103,7 +67,7 @@ def main() -> None:
     if options.view:
         view(options.view, options.rate)
     found: dict[str, list[float]] = {"looking": [], "stopped": []}
-    with running(options.cells) as run:
+    with running(options.cells) as (run, _):
         rate_of(run, options.seconds)
         alone = [rate_of(run, options.seconds)]
         for _ in range(options.turns):
