@@ -56,12 +56,12 @@ SCRIPTS: dict[str, Smoke] = {
     "deploy/checkpoint_cost.py": Smoke(
         "--repeats 1 --every 0.1 --quick", rf"18 +{N} +{N} +{N} +{N} +{N} +{N}"
     ),
-    "deploy/cell_memory.py": Smoke("--scene motors --rows 3 --columns 6 --ticks 2", rf"median {N} MB"),
+    "deploy/cell_memory.py": Smoke("--scene motors --ticks 2", rf"median {N} MB"),
     "deploy/soak.py": Smoke(
-        "--cells 16 --minutes 0.02 --every 0.05", rf"largest {N} MB, slope {N} MB per million ticks"
+        "--cells 400 --minutes 0.02 --every 0.05", rf"largest {N} MB, slope {N} MB per million ticks"
     ),
     "deploy/viewer_cost.py": Smoke(
-        "--cells 100 --turns 1 --seconds 0.3", rf"stopped +ratio {N}  \({N} .. {N}\)"
+        "--cells 400 --turns 1 --seconds 0.3", rf"stopped +ratio {N}  \({N} .. {N}\)"
     ),
     "deploy/view_rate.py": Smoke("--scenes elliptic --seconds 1", rf"elliptic +400 cells +{N} frames/s"),
     "deploy/first_run.py": Smoke("--repeat 1", r"digests: all the same"),

@@ -25,7 +25,7 @@ last tenth; the slope is that of a line fitted through all but the first tenth.
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cells", type=int, default=1000, help="number of cells, a square of about as many")
+    parser.add_argument("--cells", type=int, default=1024, help="number of cells, a square")
     parser.add_argument("--minutes", type=float, default=10.0, help="length of the run")
     parser.add_argument("--every", type=float, default=5.0, help="seconds between samples")
     options = parser.parse_args()
