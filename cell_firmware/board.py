@@ -26,6 +26,7 @@ from cell_firmware.firmware import (
     draft_of,
     drafting,
 )
+from cell_firmware.message_tracer import TRACE, MessageTracer
 from cell_firmware.scalar import ScalarFirmware
 
 PROGRAM = "firmware"
@@ -86,6 +87,7 @@ class Board(Controller):
         wheels: Given exactly where the wheels have motors.
         links: Driver of the links; None where links deliver whole messages.
         meter: Counter of messages; None: messages are not counted.
+        tracer: Record of messages; None: messages are not traced.
 
     Attributes:
         parts: The parts by name.
@@ -97,12 +99,14 @@ class Board(Controller):
         wheels: WheelDriver | None = None,
         links: LinkDriver | None = None,
         meter: MessageCounter | None = None,
+        tracer: MessageTracer | None = None,
     ) -> None:
         self.firmware = firmware
         self.wheels = wheels
         self.links = links
         self.meter = meter
-        parts: dict[str, BoardComponent | None] = {WHEELS: wheels, LINKS: links, METER: meter}
+        self.tracer = tracer
+        parts: dict[str, BoardComponent | None] = {WHEELS: wheels, LINKS: links, METER: meter, TRACE: tracer}
         self.parts = {name: part for name, part in parts.items() if part is not None}
         message = None if firmware.refuses_misfits else firmware.message
         draft = None if message is None else draft_of(message)
@@ -207,6 +211,8 @@ class Board(Controller):
         if self.meter is not None:
             received, sent = inputs.inbox and inputs.inbox.received, outbox and outbox.sent
             parts[METER] = read_only(self.meter.count(parts[METER], state.cells, received, sent))
+        if self.tracer is not None:
+            parts[TRACE] = read_only(self.tracer.keep(now.tick, parts[TRACE], inputs.inbox, outbox))
         if self.links is not None:
             parts[LINKS], outbox = self.links.send(now, parts[LINKS], outbox)
         return ControllerState(state.cells, parts), ControllerOutputs(

@@ -13,6 +13,7 @@ from cell_firmware.controller import Controller, ControllerWrapper
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.errors import SettingError
 from cell_firmware.firmware import Firmware
+from cell_firmware.message_tracer import MessageTracer
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def build_controller(
     faults: CellFaults | None = None,
     live: bool = False,
     metered: bool = False,
+    traced: bool = False,
 ) -> Controller:
     """Build the controller of the cells.
 
@@ -91,6 +93,7 @@ def build_controller(
         faults: Faults of cells and links; None if there are none.
         live: Whether faults may be injected at run time.
         metered: Whether every cell counts the messages of its program.
+        traced: Whether every cell records the messages of its program; it has no compiled form then.
 
     Raises:
         SettingError: Settings of the board that don't go together.
@@ -100,6 +103,7 @@ def build_controller(
         wheels_of(spec, effects, motors),
         _links(firmware, spec, effects, clocks, disturbed=live or faults is not None),
         MessageCounter() if metered and firmware.message is not None else None,
+        MessageTracer(firmware.message) if traced and firmware.message is not None else None,
     )
     if effects.cop is not None:
         from cell_firmware.effects.cop.wrapper import WatchdogWrapper

@@ -41,7 +41,7 @@ def compiled(controller: Controller) -> Controller:
     if isinstance(inside, WatchdogWrapper):
         watchdog, inside = inside, inside.controller
     if not isinstance(inside, Board) or any(
-        part.constants() is None for part in (inside.wheels, inside.links) if part is not None
+        part.constants() is None for part in (inside.wheels, inside.links, inside.tracer) if part is not None
     ):
         return controller
     message = inside.firmware.message

@@ -108,13 +108,13 @@ def merge_frames(frames: Sequence[RegisterFrame], lattice: Lattice) -> list[Regi
 
 
 def encodable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Select arrays that can be encoded: little-endian numbers and booleans, limited in width and in number."""
+    """Select arrays that can be encoded: little-endian numbers and booleans, one at least a cell, limited in number."""
     fit: dict[str, NDArray[Any]] = {}
     for name, array in list(arrays.items())[:NAMES_LIMIT]:
         numbers = array.astype(array.dtype.newbyteorder("<"), copy=False)
         wide = int(np.prod(array.shape[1:], dtype=np.int64))
         named = len(name) <= NAMES_LIMIT and name.isprintable()
-        if numbers.dtype.str in _TYPES and wide <= COLUMNS_LIMIT and named:
+        if numbers.dtype.str in _TYPES and 0 < wide <= COLUMNS_LIMIT and named:
             fit[name] = numbers
     return fit
 

@@ -110,7 +110,16 @@ class CheckpointStore:
                 path.unlink()
 
 
-_ALIKE: Final = ("transport", "wire", "registers", "messages", "protocol_report", "respawn", "checkpoint_s")
+_ALIKE: Final = (
+    "transport",
+    "wire",
+    "registers",
+    "messages",
+    "trace_messages",
+    "protocol_report",
+    "respawn",
+    "checkpoint_s",
+)
 """Options that a resumed run takes from its checkpoint, besides the number of processes."""
 _OVER: Final = ("ok", "unstable")
 """Final statuses that a resumed run would only reach again."""

@@ -39,6 +39,7 @@ _OPTIONAL_VALUES = {
     "--realtime": ("1", _NUMBER),
     "--protocol-report": ("1", re.compile(r"[+-]?\d+")),
     "--messages": ("1", re.compile(r"[+-]?\d+")),
+    "--trace-messages": ("all", re.compile(r"[^-].*")),
     "--registers": ("1", re.compile(r"[+-]?\d+")),
     "--docs": ("docs", re.compile(r"[^-].*")),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -21,6 +22,8 @@ class Kind(StrEnum):
     torque = "torque"
     field = "field"
     protocol = "protocol"
+    sequence = "sequence"
+    spacetime = "spacetime"
 
 
 RecordingArgument = Annotated[
@@ -41,13 +44,33 @@ KindOption = Annotated[
         help="overview: the parcels' motion from above and over time; time: position, angle and velocities; phase: "
         "velocity against position; loads: loads and tractions of the cells at an instant; torque: force and torque of "
         "the wheels over time; field: speeds of the wheels at an instant; protocol: the protocol's fields (needs a run "
-        "with --registers).",
+        "with --registers); sequence: messages between cells (needs a run with --trace-messages); spacetime: a "
+        "register of a line of cells over time (needs a run with --registers).",
     ),
 ]
 AtOption = Annotated[
     float | None,
     typer.Option(
         "--at", metavar="SECONDS", help="Instant of loads and field, simulated time. Default: the last one."
+    ),
+]
+CellsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--cells",
+        metavar="CELLS",
+        help="Cells of sequence and spacetime: a cell such as 3,4, or a rectangle such as 3,0-3,9; repeat the option "
+        "for more. Default: the traced cells; the middle row.",
+    ),
+]
+TicksOption = Annotated[
+    str | None,
+    typer.Option("--ticks", metavar="FIRST-LAST", help="Ticks of sequence. Default: the first 12 traced."),
+]
+RegisterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--register", metavar="NAME", help="Register of spacetime. Default: one of the program's variables."
     ),
 ]
 AnimateOption = Annotated[
@@ -65,6 +88,9 @@ def plot(
     output: OutputOption = None,
     kind: KindOption = Kind.overview,
     at: AtOption = None,
+    cells: CellsOption = None,
+    ticks: TicksOption = None,
+    register: RegisterOption = None,
     animate: AnimateOption = None,
 ) -> None:
     """Plot a recording, complete or truncated.
@@ -75,12 +101,25 @@ def plot(
       [cyan]mdms plot runs/NAME --output figure.pdf[/cyan]
       [cyan]mdms plot runs/NAME --kind loads --at 1.5 --output loads.svg[/cyan]
       [cyan]mdms plot runs/NAME --animate run.mp4[/cyan]
+
+    Messages between three cells, and how a register spreads along a row:
+
+      [cyan]mdms run heat --duration 1 --registers --trace-messages 2,2-2,4 --output traced[/cyan]
+      [cyan]mdms plot traced --kind sequence --ticks 40-50[/cyan]
+      [cyan]mdms plot traced --kind spacetime --cells 2,0-2,9 --register firmware.speed_m_s[/cyan]
     """
     from deploy.plots.theme import format_of
     from deploy.recordings.reader import load
 
     if at is not None and kind not in (Kind.loads, Kind.field):
         raise InputError(f"--at: goes with --kind loads or field, not {kind.value}")
+    if cells and kind not in (Kind.sequence, Kind.spacetime):
+        raise InputError(f"--cells: goes with --kind sequence or spacetime, not {kind.value}")
+    if ticks is not None and kind is not Kind.sequence:
+        raise InputError(f"--ticks: goes with --kind sequence, not {kind.value}")
+    if register is not None and kind is not Kind.spacetime:
+        raise InputError(f"--register: goes with --kind spacetime, not {kind.value}")
+    between = None if ticks is None else _ticks(ticks)
     if animate is not None:
         from deploy.plots.animation import check_animation, draw_animation
 
@@ -100,7 +139,15 @@ def plot(
 
         draw_protocol(*report_from_recording(run), path)
     else:
-        from deploy.plots.kinds import draw_kind
+        from deploy.plots.kinds import PlotSelection, draw_kind
 
-        draw_kind(run, kind.value, path, at)
+        named = None if not cells else " ".join(cells)
+        draw_kind(run, kind.value, path, PlotSelection(at, named, between, register))
     print(path)
+
+
+def _ticks(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,12})-(\d{1,12})", text)
+    if match is None or int(match[1]) > int(match[2]):
+        raise InputError(f"--ticks {text}: must be a first and a last tick, such as 40-50")
+    return int(match[1]), int(match[2])

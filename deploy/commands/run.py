@@ -107,6 +107,17 @@ MessagesOption = Annotated[
         help="Record the messages between cells every TICKS ticks (default: every tick), up to 1 GB.",
     ),
 ]
+TraceMessagesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--trace-messages",
+        rich_help_panel=EXECUTION_PANEL,
+        metavar="[CELLS]",
+        help="Trace the messages of these cells (default: all), up to 1 GB: what their programs send and read in every "
+        "tick. CELLS: a cell such as 3,4, or a rectangle such as 3,0-3,9; repeat the option for more. The "
+        "run is slower then.",
+    ),
+]
 PausedOption = Annotated[
     bool,
     typer.Option(
@@ -197,6 +208,7 @@ def run(
     paused: PausedOption = False,
     registers: RegistersOption = None,
     messages: MessagesOption = None,
+    trace_messages: TraceMessagesOption = None,
     protocol_report: ProtocolReportOption = None,
     respawn: RespawnOption = 0,
     replay: ReplayOption = None,
@@ -238,6 +250,7 @@ def run(
         picture=scene_options.picture,
         registers=registers,
         messages=messages,
+        trace_messages=None if not trace_messages else " ".join(trace_messages),
         protocol_report=protocol_report,
         respawn=respawn,
         replay=replay,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from deploy.errors import InputError
 from deploy.plots.fields import field_figure, loads_figure
 from deploy.plots.overview import draw_overview
 from deploy.plots.panels import phase_figure, time_figure, torque_figure
+from deploy.plots.sequence import sequence_figure
+from deploy.plots.spacetime import spacetime_figure
 from deploy.plots.theme import write_picture
 
 if TYPE_CHECKING:
@@ -28,20 +30,42 @@ _AT_AN_INSTANT: Final[Mapping[str, Callable[[Recording, int], Figure]]] = {
     "loads": loads_figure,
     "field": field_figure,
 }
-KINDS: Final = ("overview", *_OF_A_RUN, *_AT_AN_INSTANT)
+OF_CELLS: Final = ("sequence", "spacetime")
+"""Kinds that draw chosen cells over time."""
+KINDS: Final = ("overview", *_OF_A_RUN, *_AT_AN_INSTANT, *OF_CELLS)
 
 
-def draw_kind(recording: Recording, kind: str, path: str | Path, at_s: float | None = None) -> None:
+class PlotSelection(NamedTuple):
+    """Part of a recording that a plot draws; each goes with some kinds only.
+
+    Attributes:
+        at_s: Time of the instant of ``loads`` and ``field``, s; the nearest instant is drawn. None: the last one.
+        cells: Cells of ``sequence`` and ``spacetime``, as ``deploy.util.cell_ranges`` has them. None: the traced cells;
+            the middle row.
+        ticks: First and last tick of ``sequence``. None: the first 12 traced.
+        register: Name of the register of ``spacetime``. None: one of the program's variables.
+    """
+
+    at_s: float | None = None
+    cells: str | None = None
+    ticks: tuple[int, int] | None = None
+    register: str | None = None
+
+
+_ALL: Final = PlotSelection()
+
+
+def draw_kind(recording: Recording, kind: str, path: str | Path, choice: PlotSelection = _ALL) -> None:
     """Draw a plot of a recording. The file is written whole or not at all.
 
     Args:
         recording: The recording, whole or cut.
         kind: One of ``KINDS``.
         path: The file to write, a PNG, SVG or PDF by its suffix.
-        at_s: Time of the instant of ``loads`` and ``field``, s; the nearest instant is drawn. None: the last one.
+        choice: Part of the recording to draw.
 
     Raises:
-        InputError: There is no such kind, the recording has no instant, or ``at_s`` is beyond it.
+        InputError: There is no such kind, or the recording has nothing of what is to be drawn.
         DeployError: The file can't be written.
     """
     if kind == "overview":
@@ -49,8 +73,12 @@ def draw_kind(recording: Recording, kind: str, path: str | Path, at_s: float | N
     elif kind in _OF_A_RUN:
         write_picture(lambda: _OF_A_RUN[kind](recording), path)
     elif kind in _AT_AN_INSTANT:
-        instant = _instant(recording, at_s)
+        instant = _instant(recording, choice.at_s)
         write_picture(lambda: _AT_AN_INSTANT[kind](recording, instant), path)
+    elif kind == "sequence":
+        write_picture(lambda: sequence_figure(recording, choice.cells, choice.ticks), path)
+    elif kind == "spacetime":
+        write_picture(lambda: spacetime_figure(recording, choice.register, choice.cells), path)
     else:
         raise InputError(f"kind {kind}: must be one of {', '.join(KINDS)}")
 

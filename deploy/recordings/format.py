@@ -19,6 +19,7 @@ FAULTS = "/faults"
 CONTROL = "/control"
 REGISTERS = "/registers"
 MESSAGES = "/messages"
+TRACE = "/trace"
 END = "/end"
 
 HEADER_RECORD = "mdms.header"
@@ -197,6 +198,15 @@ def binary_schemas(header: Header) -> dict[str, dict[str, Any]]:
                 "registers",
                 "number of the tick after which the registers were read",
                 "by name of the register",
+            ),
+        },
+        TRACE: {
+            "description": _BINARY + " Sides are north, east, south, west.",
+            **_arrays(
+                "trace",
+                "number of the tick",
+                "cell: index of each traced cell; stepped: whether its program ran; received, sent: whether the "
+                "program read and sent a message on each side; read.NAME, sent.NAME: fields of these messages, by side",
             ),
         },
         MESSAGES: {

@@ -25,6 +25,7 @@ from deploy.recordings.format import (
     PROFILE,
     REGISTERS,
     TICK,
+    TRACE,
     Header,
 )
 from deploy.recordings.trace import RunTrace, mask_absent
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
     from deploy.recordings.exports.tables import TableName
     from deploy.recordings.mcap_reader import Note
+    from deploy.recordings.message_trace import TracedMessage
     from deploy.recordings.quantities import RecordedTractions
     from plant.analysis.tractions import ArrayTractions
 
@@ -124,6 +126,10 @@ class Recording:
         registers: Registers of all cells at these ticks, by name, ``(R, n, ...)``; zero for dead cells.
         message_tick: ``(M,)`` int64, ticks whose messages between cells were recorded; none unless requested.
         messages: Messages sent in these ticks: ``sent`` ``(M, n, 4)`` bool by side, and ``(M, n, 4)`` by field.
+        trace_tick: ``(K,)`` int64, ticks of the trace of messages; none unless requested.
+        trace: Messages that the programs of the traced cells read and sent in these ticks: ``cell`` ``(K, c)`` indices,
+            ``stepped`` ``(K, c)``, ``received`` and ``sent`` ``(K, c, 4)`` by side, ``read.NAME`` and ``sent.NAME`` by
+            field.
         events: Events of the plant.
         faults: Faults.
         control: Live commands.
@@ -143,6 +149,8 @@ class Recording:
     registers: dict[str, NDArray[Any]]
     message_tick: NDArray[np.int64]
     messages: dict[str, NDArray[Any]]
+    trace_tick: NDArray[np.int64]
+    trace: dict[str, NDArray[Any]]
     events: Sequence[dict[str, Any]]
     faults: Sequence[dict[str, Any]]
     control: Sequence[dict[str, Any]]
@@ -236,6 +244,12 @@ class Recording:
     def left_out_effects(self) -> tuple[str, ...]:
         """Names of the scene's effects that change forces and that ``tractions`` does not include."""
         return self._recorded_tractions.left_out
+
+    def traced_messages(self) -> list[TracedMessage]:
+        """Return the messages of a run with ``--trace-messages``: sent, read, late, altered or lost, and why."""
+        from deploy.recordings.message_trace import traced_messages
+
+        return traced_messages(self.header, self.trace_tick, self.trace, self.faults)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return all values as a dataset with names, units and coordinates.
@@ -345,6 +359,7 @@ def _load(path: Path) -> Recording:
     rows = _Rows()
     shown: list[dict[str, Any]] = []
     sent: list[dict[str, Any]] = []
+    traced: list[dict[str, Any]] = []
     logs: dict[str, list[object]] = {EVENTS: [], FAULTS: [], CONTROL: [], END: []}
     for record in scan(path, PROFILE):
         if isinstance(record, Message):
@@ -354,6 +369,8 @@ def _load(path: Path) -> Recording:
                 shown.append(_map(unpack(record.data)))
             elif record.topic == MESSAGES:
                 sent.append(_map(unpack(record.data)))
+            elif record.topic == TRACE:
+                traced.append(_map(unpack(record.data)))
             elif record.topic in logs:
                 logs[record.topic].append(json.loads(record.data))
         else:
@@ -375,6 +392,8 @@ def _load(path: Path) -> Recording:
         registers=_stacked(shown, "registers"),
         message_tick=np.array([message["tick"] for message in sent], dtype=np.int64),
         messages=_stacked(sent, "messages"),
+        trace_tick=np.array([message["tick"] for message in traced], dtype=np.int64),
+        trace=_stacked(traced, "trace"),
         **rows.arrays(header),
     )
 

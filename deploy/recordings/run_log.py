@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
@@ -82,7 +83,7 @@ class RunLog:
         self.faults: list[Mapping[str, Any]] = []
         self.cells_lost: list[tuple[int, int]] = []
         self.disturbed = False
-        self._message_bytes = 0
+        self._message_bytes = Counter[str]()
         self._hung: set[str] = set()
         self._injected = list(injected)
         self._turns = transition_ticks(self._injected)
@@ -148,13 +149,24 @@ class RunLog:
 
     def messages(self, tick: int, messages: Mapping[str, NDArray[Any]]) -> None:
         """Record the messages that cells sent in a tick, up to ``MESSAGES_LIMIT`` bytes in all."""
-        size = sum(array.nbytes for array in messages.values())
-        if self._message_bytes + size <= MESSAGES_LIMIT:
-            self._message_bytes += size
+        if self._fits("messages", tick, messages):
             self._recorder.messages(tick, tick * self.period_ns, messages)
-        elif self._message_bytes < MESSAGES_LIMIT:
-            self._message_bytes = MESSAGES_LIMIT
-            self.warn(f"--messages: {MESSAGES_LIMIT >> 20} MB of messages are recorded, up to tick {tick:,}")
+
+    def trace(self, tick: int, trace: Mapping[str, NDArray[Any]]) -> None:
+        """Record what programs read and sent in a tick, up to ``MESSAGES_LIMIT`` bytes in all."""
+        if self._fits("trace-messages", tick, trace):
+            self._recorder.trace(tick, tick * self.period_ns, trace)
+
+    def _fits(self, option: str, tick: int, arrays: Mapping[str, NDArray[Any]]) -> bool:
+        """Whether more messages may be recorded for an option; warns where its limit is reached."""
+        before, size = self._message_bytes[option], sum(array.nbytes for array in arrays.values())
+        if before + size <= MESSAGES_LIMIT:
+            self._message_bytes[option] += size
+            return True
+        if before < MESSAGES_LIMIT:
+            self._message_bytes[option] = MESSAGES_LIMIT
+            self.warn(f"--{option}: {MESSAGES_LIMIT >> 20} MB of messages are recorded, up to tick {tick:,}")
+        return False
 
     def _take_events(self, events: Sequence[Event]) -> None:
         for event in events:

@@ -23,6 +23,7 @@ from deploy.recordings.format import (
     PARCELS,
     REGISTERS,
     TICK,
+    TRACE,
     Header,
 )
 from deploy.recordings.json_text import json_bytes, parcels_text
@@ -179,6 +180,16 @@ class Recorder:
             messages: ``sent`` ``(n, 4)``, and ``(n, 4)`` by name of the field; zero for dead cells.
         """
         self._put_arrays(MESSAGES, "messages", tick, time_ns, messages)
+
+    def trace(self, tick: int, time_ns: int, trace: Mapping[str, NDArray[Any]]) -> None:
+        """Record what the programs of traced cells read and sent in a tick.
+
+        Args:
+            tick: The tick.
+            time_ns: Its start.
+            trace: Result of ``deploy.recordings.message_trace.trace_of``.
+        """
+        self._put_arrays(TRACE, "trace", tick, time_ns, trace)
 
     def _put_arrays(
         self, topic: str, key: str, tick: int, time_ns: int, arrays: Mapping[str, NDArray[Any]]

@@ -230,6 +230,7 @@ class BusCells:
         byte_accurate_links: Whether serial lines carry bytes and accept faults at run time.
         snapshots: Whether the coordinator may request snapshots.
         messages: Whether the cells publish their messages as registers.
+        traced: Whether the cells record what their programs read and send, as registers.
         resume: State in which the cells resume; None: they begin.
         counters: Counters of all sides at that time.
     """
@@ -240,6 +241,7 @@ class BusCells:
     byte_accurate_links: bool = False
     snapshots: bool = False
     messages: bool = False
+    traced: bool = False
     resume: ResumePoint | None = None
     counters: MessageCounters | None = None
 
@@ -254,6 +256,7 @@ class BusCells:
             live=self.byte_accurate_links,
             keeps=self.snapshots,
             messages=self.messages,
+            traced=self.traced,
             resumed=self.resume,
             counted=self.counters,
         )

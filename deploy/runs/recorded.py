@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bus.errors import BusError
 from bus.lockstep.registers import RegisterRequest
 from bus.wire.keys import plant_key
+from cell_firmware.message_tracer import TRACE, trace_registers
 from cell_firmware.shard import MESSAGES
 from deploy.checkpoints.checkpointer import make_checkpointer, restore_run
 from deploy.errors import DeployError
 from deploy.recordings.losses import unreported
+from deploy.recordings.message_trace import trace_of
 from deploy.runs.backends import BusCells
 from deploy.runs.result import RunResult
 from deploy.runs.simulation import Simulation
+from deploy.util.cell_ranges import select_cells
 from deploy.util.signals import Interrupted, Interruption
 from deploy.workers.worker import ResumePoint, cell_faults, make_controller
 from plant.errors import PlantError, PlantStopped
@@ -26,6 +33,7 @@ if TYPE_CHECKING:
 
     from bus.lockstep import Coordinator
     from bus.lockstep.registers import RegisterSnapshot
+    from cell_firmware.controller import Controller
     from deploy.checkpoints.checkpointer import Checkpointer, CheckpointMetadata
     from deploy.control.server import ControlServer
     from deploy.recordings.run_log import RunLog
@@ -38,7 +46,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class RecordedRun:
     """One run of a prepared scene, with its log, recording, checkpoints, control server and respawned workers.
 
@@ -63,6 +71,19 @@ class RecordedRun:
     interruption: Interruption
     _checkpointer: Checkpointer | None = field(default=None, init=False)
     _control: ControlServer | None = field(default=None, init=False)
+
+    @cached_property
+    def _step_lag(self) -> int:
+        """Ticks by which the number of a step lags behind its exchange: 1 where cells have clocks of their own."""
+        return int(self.setup.scene.effects.clock is not None)
+
+    @cached_property
+    def _traced(self) -> NDArray[np.int64]:
+        """Indices of the cells whose messages are traced."""
+        named = self.setup.options.trace_messages
+        if named is None:
+            return np.zeros(0, dtype=np.int64)
+        return select_cells(named, self.log.cells, "--trace-messages")
 
     def run(self, begun: float) -> RunResult:
         """Start the cells, run to the end, stop the cells.
@@ -140,6 +161,7 @@ class RecordedRun:
                 byte_accurate_links=setup.byte_accurate_links,
                 snapshots=self.metadata is not None,
                 messages=setup.options.messages is not None,
+                traced=setup.options.trace_messages is not None,
                 resume=resumed and ResumePoint(resumed.tick, resumed.dead, resumed.states),
                 counters=resumed and resumed.all_counts(),
             ),
@@ -210,15 +232,22 @@ class RecordedRun:
         return watch
 
     def _record_registers(self, shown: RegisterSnapshot) -> None:
-        """Record registers and messages of a tick, as far as they are requested."""
+        """Record registers, messages and the trace of a tick, as far as they are requested."""
         options = self.setup.options
-        parts = {False: dict[str, Any](), True: dict[str, Any]()}
+        registers, messages, trace = dict[str, Any](), dict[str, Any](), dict[str, Any]()
         for name, array in shown.registers.items():
-            parts[name.startswith(MESSAGES)][name.removeprefix(MESSAGES)] = array
+            if name.startswith(MESSAGES):
+                messages[name.removeprefix(MESSAGES)] = array
+            elif name.startswith(f"{TRACE}."):
+                trace[name.removeprefix(f"{TRACE}.")] = array
+            else:
+                registers[name] = array
         if options.registers is not None and shown.tick % options.registers == 0:
-            self.log.registers(shown.tick, parts[False])
+            self.log.registers(shown.tick, registers)
         if options.messages is not None and shown.tick % options.messages == 0:
-            self.log.messages(shown.tick, parts[True])
+            self.log.messages(shown.tick, messages)
+        if len(self._traced):
+            self.log.trace(shown.tick, trace_of(trace, self._traced, shown.tick - self._step_lag))
 
     def _interrupt(self, record: TickRecord) -> None:
         """End the run after a signal; a hook."""
@@ -232,14 +261,19 @@ class RecordedRun:
         requests = () if registers is None else (RegisterRequest(registers),)
         if self.setup.options.messages is not None:
             requests += (RegisterRequest(self.setup.options.messages, self._message_names()),)
+        if len(self._traced):
+            message = self._controller().message_type
+            assert message is not None, "this is a bug: a trace of a program without messages"
+            requests += (RegisterRequest(1, frozenset(trace_registers(message))),)
         return requests if reporter is None else (*requests, *reporter.wanted)
+
+    def _controller(self) -> Controller:
+        setup = self.setup
+        return make_controller(setup.scene, cell_faults(setup.scene), live=setup.byte_accurate_links)
 
     def _message_names(self) -> frozenset[str]:
         """Return the names of the registers that show messages."""
-        setup = self.setup
-        link = make_controller(
-            setup.scene, cell_faults(setup.scene), live=setup.byte_accurate_links
-        ).link_type
+        link = self._controller().link_type
         names = () if link is None else ("sent", *(link.names or ()))
         return frozenset(f"{MESSAGES}{name}" for name in names)
 

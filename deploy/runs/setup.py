@@ -18,6 +18,7 @@ from deploy.runs.compilation import compilation_reported, is_segmented
 from deploy.runs.output import run_name
 from deploy.scenes.fault_schedule import in_run_faults
 from deploy.scenes.warnings import scene_warnings
+from deploy.util.cell_ranges import select_cells
 from deploy.workers.plan import plan
 from plant.errors import PlantError
 from plant.sampling import Timing
@@ -212,6 +213,10 @@ def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -
     warnings = warnings_of(scene)
     if options.messages is not None and not _talks(scene):
         raise InputError("--messages: the program of the cells sends no messages")
+    if options.trace_messages is not None:
+        if not _talks(scene):
+            raise InputError("--trace-messages: the program of the cells sends no messages")
+        select_cells(options.trace_messages, planned.partition.lattice.cells, "--trace-messages")
     if options.registers is not None:
         warnings += register_warnings(scene)
     reporter = _reporter(scene, planned.partition.lattice, options.protocol_report)

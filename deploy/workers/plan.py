@@ -193,6 +193,7 @@ class RunOptions:
         picture: Whether to draw the overview.
         registers: Period at which the cells' registers are recorded, ticks; None: never.
         messages: Period at which the messages between cells are recorded, ticks; None: never.
+        trace_messages: Cells whose messages are traced, as ``deploy.util.cell_ranges`` has them; None: none.
         respawn: Most restarts of lost workers in all.
         replay: Folder of a recorded run of the scene, whose live commands and losses are repeated; None: no replay.
         protocol_report: Period at which the protocol's field is sampled for the report, ticks; None: no report.
@@ -212,6 +213,7 @@ class RunOptions:
     picture: bool = True
     registers: int | None = None
     messages: int | None = None
+    trace_messages: str | None = None
     protocol_report: int | None = None
     respawn: int = 0
     replay: Path | None = None

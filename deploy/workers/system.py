@@ -126,6 +126,7 @@ class System:
         live: bool = False,
         keeps: bool = False,
         messages: bool = False,
+        traced: bool = False,
         resumed: ResumePoint | None = None,
         counted: MessageCounters | None = None,
     ) -> Coordinator:
@@ -139,6 +140,7 @@ class System:
             live: Simulate serial lines byte by byte, so that faults can be injected at run time.
             keeps: Let the coordinator request snapshots.
             messages: Let the cells publish their messages as registers.
+            traced: Let the cells record what their programs read and send, as registers.
             resumed: Resume point; None: the cells start at tick 0.
             counted: Counters of all sides at the resume point.
 
@@ -167,6 +169,7 @@ class System:
             own_process=plan.workers > 0,
             snapshots=keeps,
             messages=messages,
+            traced=traced,
             resumed=resumed,
         )
         host = self.coordinator = Coordinator(

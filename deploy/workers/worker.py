@@ -75,6 +75,7 @@ class WorkerConfig:
         own_process: Whether a worker has its own process, which ends with a scheduled crash of all its cells.
         snapshots: Whether the coordinator may request snapshots.
         messages: Whether the cells publish their messages as registers.
+        traced: Whether the cells record what their programs read and send, as registers.
         resumed: Resume point; None: the cells start at tick 0.
     """
 
@@ -93,6 +94,7 @@ class WorkerConfig:
     own_process: bool
     snapshots: bool = False
     messages: bool = False
+    traced: bool = False
     resumed: ResumePoint | None = None
 
     def __call__(self, shard: int, built: BuiltShard | None = None) -> None:
@@ -256,7 +258,12 @@ def _first(order: WorkerConfig, cells: Shard, member: Participant) -> int | None
 
 
 def make_controller(
-    scene: Scene, faults: CellFaults | None = None, *, live: bool = False, metered: bool = False
+    scene: Scene,
+    faults: CellFaults | None = None,
+    *,
+    live: bool = False,
+    metered: bool = False,
+    traced: bool = False,
 ) -> Controller:
     """Build the controller of a scene's cells.
 
@@ -265,6 +272,7 @@ def make_controller(
         faults: Result of ``cell_faults(scene)``.
         live: Whether serial lines are byte-accurate, so that faults can be injected at run time.
         metered: Whether the cell's messages are counted.
+        traced: Whether the cell's messages are recorded.
     """
     from cell_firmware.build import build_controller
     from cell_firmware.loader import load
@@ -281,6 +289,7 @@ def make_controller(
         faults=faults,
         live=live,
         metered=metered,
+        traced=traced,
     )
 
 
@@ -319,7 +328,9 @@ def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
 
     scene, array, readings = order.scene, order.array, order.sensors
     faults = cell_faults(scene)
-    controller = make_controller(scene, faults, live=order.byte_accurate_links, metered=order.metered)
+    controller = make_controller(
+        scene, faults, live=order.byte_accurate_links, metered=order.metered, traced=order.traced
+    )
     cells, clocks = order.partition.cells(index), scene.clocks()
     site = ShardContext(
         cells,

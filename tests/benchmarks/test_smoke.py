@@ -74,7 +74,7 @@ SCRIPTS: dict[str, Smoke] = {
     "deploy/processor_time.py": Smoke(
         "--updates 2000", rf"numbers that differ: 0\n(.*\n)+a byte sent: {N} E"
     ),
-    "deploy/warm_start.py": Smoke("--repeat 1", rf"mdms --help +{N} s\n.*takes {N} times that"),
+    "deploy/warm_start.py": Smoke("--repeat 1", rf"numpy, scipy, zenoh. +{N} s, processor time {N} s"),
     "plant/accuracy_elliptic.py": Smoke("--repeats 1 --quick", rf"the next takes {N} times as long"),
     "plant/captured_chatter.py": Smoke("--scenes 20", rf"scene +\d+: {N} m, nudged {N} m"),
     "plant/chatter_cost.py": Smoke("--turns 1 --quick", rf"dearest .* {N} times as much whole, {N} in ticks"),

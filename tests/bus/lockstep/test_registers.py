@@ -47,6 +47,7 @@ def test_only_numbers_and_booleans_of_some_width_are_shown():
     arrays: dict[str, NDArray[Any]] = {
         "objects": np.array([object(), None]),
         "wide": np.zeros((2, 65)),
+        "empty": np.zeros((2, 0)),
         "complex": np.zeros(2, dtype=complex),
         "text": np.array(["a", "b"]),
         "big-endian": np.array([1, 2], dtype=">i4"),

@@ -22,6 +22,7 @@ THEN = {
     "wire": "packed",
     "registers": None,
     "messages": None,
+    "trace_messages": None,
     "protocol_report": None,
     "respawn": 0,
     "checkpoint_s": 5.0,

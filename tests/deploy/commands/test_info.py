@@ -41,7 +41,7 @@ def test_json_has_every_field_and_the_same_of_a_cut_recording(
     assert found["digest"] == "ab" * 32
     assert found["size_bytes"] == path.stat().st_size
     assert {topic["name"]: topic["messages"] for topic in found["topics"]} == {
-        **dict.fromkeys(("/registers", "/messages", "/events", "/faults", "/control"), 0),
+        **dict.fromkeys(("/registers", "/trace", "/messages", "/events", "/faults", "/control"), 0),
         "/tick": 21,
         "/parcels": 21,
         "/end": 1,

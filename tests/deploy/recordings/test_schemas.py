@@ -58,10 +58,12 @@ def test_every_message_of_every_channel_is_decoded_by_the_file_s_own_schemas(
 ) -> None:
     registers = {"firmware.u": np.arange(24.0).reshape(12, 2), "count": np.arange(12, dtype=np.int32)}
     messages = {"sent": np.arange(48).reshape(12, 4) % 3 == 0, "u": np.arange(48.0).reshape(12, 4)}
+    trace = {"cell": np.array([3, 5]), "sent.u": np.arange(8.0).reshape(2, 4)}
     with Recorder(tmp_path, run.header) as recorder:
         run.feed(recorder)
         recorder.registers(4, 5, registers)
         recorder.messages(4, 5, messages)
+        recorder.trace(4, 5, trace)
         recorder.control({"time_s": 0.03, "kind": "pause"})
         recorder.close("ok")
     rows: dict[str, list[np.ndarray]] = {"presence": [], "drives": [], "wheel_speeds": [], "parcels": []}
@@ -75,15 +77,15 @@ def test_every_message_of_every_channel_is_decoded_by_the_file_s_own_schemas(
             last |= {name: array(form, content[name]) for name, form in binaries.items() if name in content}
             for name, value in last.items():
                 rows[name].append(value)
-        elif topic in ("/registers", "/messages"):
+        elif topic in ("/registers", "/messages", "/trace"):
             for name, (dtype, shape, data) in content[topic.removeprefix("/")].items():
                 shown[name] = np.frombuffer(data, dtype).reshape(shape)
-    assert seen == {*SCHEMAS, "/tick", "/registers", "/messages"}
+    assert seen == {*SCHEMAS, "/tick", "/registers", "/messages", "/trace"}
     np.testing.assert_array_equal(rows["presence"], run.presence)
     np.testing.assert_array_equal(rows["drives"][:-1], run.drives[:-1])
     np.testing.assert_array_equal(rows["wheel_speeds"], run.wheel_speeds)
     np.testing.assert_array_equal(rows["parcels"], run.states)
-    for name, values in {**registers, **messages}.items():
+    for name, values in {**registers, **messages, **trace}.items():
         np.testing.assert_array_equal(shown[name], values)
         assert shown[name].dtype == values.dtype
 
@@ -92,7 +94,7 @@ def test_the_schemas_are_schemas(tmp_path: Path, run: Any) -> None:
     with run.record(tmp_path).open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
-    assert len(summary.schemas) == len(summary.channels) == len(SCHEMAS) + 3
+    assert len(summary.schemas) == len(summary.channels) == len(SCHEMAS) + 4
     for schema in summary.schemas.values():
         described = json.loads(schema.data)
         jsonschema.Draft202012Validator.check_schema(described)
