@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, cast, final
+from typing import Any, Final, NamedTuple, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,6 +146,11 @@ class PerCellAdapter(Firmware):
         self.message = firmware.message  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self._fields = {} if self.message is None else _fields_of(self.message)
 
+    @property
+    def author(self) -> Program:
+        """The firmware."""
+        return self.firmware
+
     def check(self, lattice: Lattice) -> None:
         """Delegate to the firmware."""
         self.firmware.check(lattice)
@@ -204,22 +209,35 @@ class PerCellAdapter(Firmware):
         """Step each cell on plain values."""
         n = len(inputs.presence)
         states = state["cell"].copy()
-        speed = np.zeros((n, 2))
-        message = self.firmware.message
-        outbox = None if message is None else Outbox.empty(n, message)
+        speeds: list[tuple[float, float]] = []
+        sent = _Sent(self.firmware.message, self._fields)
         failed: dict[int, str] = {}
-        served = np.ones(n, dtype=np.bool_)
-        for i in range(n):
+        unserved: list[int] = []
+        step = self.firmware.step
+        for i, (before, own) in enumerate(zip(states.tolist(), _each_inputs(inputs), strict=True)):
+            speed = _STANDS
             try:
-                states[i], outputs = _pair(self.firmware.step(states[i], _inputs(inputs, i)))
-                speed[i] = _speed(outputs)
-                served[i] = bool(outputs.served)
-                _send(outputs.outbox, outbox, self._fields, i)
+                states[i], outputs = _pair(step(before, own))
+                speed = _speed(outputs)
+                if not outputs.served:
+                    unserved.append(i)
+                if outputs.outbox:
+                    sent.add(i, outputs.outbox)
             except MessageValueError as error:
                 failed[i] = str(error)
             except BaseException:  # noqa: BLE001 - whatever a user's program raises, SystemExit too, is that cell's failure
                 failed[i] = traceback.format_exc()
-        return {"cell": states}, Outputs(speed, outbox, failed or None, None if served.all() else served)
+            speeds.append(speed)
+        served = None
+        if unserved:
+            served = np.ones(n, dtype=np.bool_)
+            served[unserved] = False
+        return {"cell": states}, Outputs(
+            np.array(speeds, dtype=np.float64).reshape(n, 2), sent.outbox(n), failed or None, served
+        )
+
+
+_STANDS: Final = (0.0, 0.0)
 
 
 def records_of(firmware: Firmware) -> tuple[type, ...]:
@@ -246,16 +264,22 @@ def _cell(cells: Cells, i: int) -> Cell:
     )
 
 
-def _inputs(inputs: Inputs, i: int) -> CellInputs:
-    encoder = None if inputs.encoder_m is None else inputs.encoder_m[i].tolist()
-    return CellInputs(
-        tuple(inputs.presence[i].tolist()),
-        None if encoder is None else (encoder[0], encoder[1]),
-        dict.fromkeys(SIDES) if inputs.inbox is None else _inbox(inputs.inbox, i),
-        None if inputs.level is None else tuple(inputs.level[i].tolist()),
-        None if inputs.label is None else int(inputs.label[i]),
-        None if inputs.camera is None else _picture(inputs.camera),
-    )
+def _each_inputs(inputs: Inputs) -> Iterator[CellInputs]:
+    """Yield the inputs of each cell in plain values, converted all at once."""
+    n = len(inputs.presence)
+    nothing: list[None] = [None] * n
+    encoders: Iterable[Any] = nothing if inputs.encoder_m is None else map(tuple, inputs.encoder_m.tolist())
+    levels: Iterable[Any] = nothing if inputs.level is None else map(tuple, inputs.level.tolist())
+    presences: Iterable[Any] = map(tuple, inputs.presence.tolist())
+    inboxes: Iterable[dict[str, Message | None]]
+    labels = nothing if inputs.label is None else inputs.label.tolist()
+    inboxes = (dict.fromkeys(SIDES) for _ in nothing) if inputs.inbox is None else _inboxes(inputs.inbox)
+    for presence, encoder, inbox, level, label in zip(
+        presences, encoders, inboxes, levels, labels, strict=True
+    ):
+        # a frame of its own for each cell: a program may keep or change it
+        camera = None if inputs.camera is None else _picture(inputs.camera)
+        yield CellInputs(presence, encoder, inbox, level, label, camera)
 
 
 def _picture(picture: CameraFrame) -> dict[int, tuple[float, float, float]]:
@@ -265,15 +289,28 @@ def _picture(picture: CameraFrame) -> dict[int, tuple[float, float, float]]:
     }
 
 
-def _inbox(inbox: Inbox, i: int) -> dict[str, Message | None]:
-    return {
-        side: _plain(inbox.message, i, s) if inbox.received[i, s] else None for s, side in enumerate(SIDES)
-    }
-
-
-def _plain(messages: Messages, i: int, s: int) -> Message:
-    names: tuple[str, ...] = messages.dtype.names or ()
-    return {name: messages[name][i, s].tolist() for name in names}
+def _inboxes(inbox: Inbox) -> Iterator[dict[str, Message | None]]:
+    """Yield the inbox of each cell by side."""
+    names: tuple[str, ...] = inbox.message.dtype.names or ()
+    north, east, south, west = SIDES
+    rows = zip(inbox.received.tolist(), inbox.message.tolist(), strict=True)
+    if len(names) == 1:
+        (name,) = names
+        for (n, e, s, w), ((to_n,), (to_e,), (to_s,), (to_w,)) in rows:
+            yield {
+                north: {name: to_n} if n else None,
+                east: {name: to_e} if e else None,
+                south: {name: to_s} if s else None,
+                west: {name: to_w} if w else None,
+            }
+        return
+    for (n, e, s, w), (to_n, to_e, to_s, to_w) in rows:
+        yield {
+            north: dict(zip(names, to_n, strict=True)) if n else None,
+            east: dict(zip(names, to_e, strict=True)) if e else None,
+            south: dict(zip(names, to_s, strict=True)) if s else None,
+            west: dict(zip(names, to_w, strict=True)) if w else None,
+        }
 
 
 def _pair(result: Any) -> tuple[Any, CellOutputs]:
@@ -293,6 +330,8 @@ def _speed(outputs: CellOutputs) -> tuple[float, float]:
         x, y = given
     except (TypeError, ValueError):
         raise TypeError(f"speed_m_s must be two numbers, not {given!r}") from None
+    if type(x) is float and type(y) is float:
+        return x, y
     return _number(x), _number(y)
 
 
@@ -302,30 +341,60 @@ def _number(value: Any) -> float:
     return float(value)  # pyright: ignore[reportUnknownArgumentType]
 
 
-def _send(
-    messages: Mapping[str, Message | None], outbox: Outbox | None, fields: Mapping[str, _MessageField], i: int
-) -> None:
-    """Put a cell's messages into the outbox.
+@final
+class _Sent:
+    """Messages of all cells in a tick, put into an outbox at once.
 
-    Raises:
-        MessageValueError: A value doesn't fit its field.
+    Args:
+        message: Type of the messages; None: the program has none.
+        fields: Fields of that type by name.
     """
-    for side in messages:
-        if side not in SIDES:
+
+    def __init__(self, message: np.dtype[Any] | None, fields: Mapping[str, _MessageField]) -> None:
+        self._type = message
+        self._fields = fields
+        self._slots: list[int] = []
+        self._values: list[tuple[Any, ...]] = []
+
+    def add(self, cell: int, messages: Mapping[str, Message | None]) -> None:
+        """Add the messages of a cell.
+
+        Raises:
+            MessageValueError: A value doesn't fit its field.
+        """
+        if not messages.keys() <= _SIDE_NUMBERS.keys():
+            side = next(one for one in messages if one not in _SIDE_NUMBERS)
             raise ValueError(f"outbox has a side {side!r}; sides are {', '.join(SIDES)}")
-    last: Message | None = None
-    values: tuple[Any, ...] = ()
-    for s, side in enumerate(SIDES):
-        message = messages.get(side)
-        if message is None:
-            continue
-        if outbox is None:
-            raise ValueError("outbox holds a message, but the firmware declares no message type")
-        if message is not last:  # most programs send the same to all sides
-            _check_values(message, side, fields)
-            values, last = tuple(message[name] for name in fields), message
-        outbox.message[i, s] = values
-        outbox.sent[i, s] = True
+        last: Message | None = None
+        values: tuple[Any, ...] = ()
+        slots: list[int] = []
+        sent: list[tuple[Any, ...]] = []
+        for side, number in _SIDE_NUMBERS.items():
+            message = messages.get(side)
+            if message is None:
+                continue
+            if self._type is None:
+                raise ValueError("outbox holds a message, but the firmware declares no message type")
+            if message is not last:  # most programs send the same to all sides
+                _check_values(message, side, self._fields)
+                values, last = tuple([message[name] for name in self._fields]), message
+            slots.append(4 * cell + number)
+            sent.append(values)
+        self._slots += slots
+        self._values += sent
+
+    def outbox(self, n: int) -> Outbox | None:
+        """Return the outbox of n cells; None for programs without messages."""
+        if self._type is None:
+            return None
+        outbox = Outbox.empty(n, self._type)
+        if self._slots:
+            outbox.sent.reshape(-1)[self._slots] = True
+            outbox.message.reshape(-1)[self._slots] = np.array(self._values, dtype=self._type)
+        return outbox
+
+
+_SIDE_NUMBERS: Final = {side: number for number, side in enumerate(SIDES)}
 
 
 def _check_values(message: Message, side: str, fields: Mapping[str, _MessageField]) -> None:

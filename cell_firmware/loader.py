@@ -180,6 +180,10 @@ def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
     if isinstance(program, ScalarProgram) and program.is_compiled():
         program.scalar_kernels()  # before anything starts: a step that can't be compiled is bad input
     guard(program, spec.firmware)
+    if spec.initial_registers:
+        from cell_firmware.program_variables import set_initial
+
+        set_initial(program, spec.initial_registers)
     return program
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
 from cell_firmware.specs import Spec
+
+if TYPE_CHECKING:
+    from cell_firmware.array_view import ArrayView
 
 
 @final
@@ -84,6 +87,35 @@ class Program:
     def uses_camera(self) -> bool:
         """Whether cells with these parameters use camera frames, where the scene has a camera."""
         return False
+
+    @property
+    def author(self) -> Program:
+        """The program as its author wrote it: itself, unless it is an adapter."""
+        return self
+
+    def invariants(self, view: ArrayView) -> Iterable[tuple[str, Any]]:
+        """Yield conditions that hold after every tick, each a rule in words and its truth.
+
+        The truth is a boolean, or ``(a,)`` booleans, one for each running cell. Evaluated only where a run, a lab or a
+        campaign checks.
+
+        Args:
+            view: Registers of all running cells.
+        """
+        del view
+        return ()
+
+    def eventually(self, view: ArrayView) -> Iterable[tuple[str, Any, int]]:
+        """Yield conditions that come true within so many ticks: a rule in words, its truth, and the ticks.
+
+        The ticks are counted from the first tick, from the last disturbance by a fault, and from the last tick in which
+        the condition was true.
+
+        Args:
+            view: Registers of all running cells.
+        """
+        del view
+        return ()
 
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """Return the range of values, by field of the messages, that cells of this program send over intact links.

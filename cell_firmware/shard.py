@@ -15,7 +15,7 @@ from bus.partition import Partition
 from bus.sensors import CameraFrame, Labels
 from bus.state import StateFields
 from bus.wire.fixed_layout import PayloadLayout
-from cell_firmware.board import has_kernels
+from cell_firmware.board import PROGRAM, has_kernels
 from cell_firmware.controller import Controller, ControllerState, StepTime, read_only
 from cell_firmware.effects.base import InputFilter
 from cell_firmware.errors import FirmwareError, FirmwareFailed
@@ -378,6 +378,31 @@ class Shard:
             f"{MESSAGES}sent": sent.copy(),
             **{f"{MESSAGES}{name}": fields[name].copy() for name in names},
         }
+
+    @property
+    def program_state(self) -> State:
+        """State of the live cells' programs, arrays by name with a row a cell in the order of ``alive``; copies."""
+        return {name: array.copy() for name, array in self._state.parts[PROGRAM].items()}
+
+    @program_state.setter
+    def program_state(self, state: State) -> None:
+        parts = {**self._state.parts, PROGRAM: read_only(state)}
+        self._state = ControllerState(self._state.cells, parts)
+
+    @property
+    def outbox(self) -> Outbox:
+        """Payloads of all cells' links that the next tick delivers, ``(n, 4)``; copies.
+
+        Raises:
+            FirmwareError: The program has no messages.
+        """
+        if self._message is None:
+            raise FirmwareError("the program of the cells sends no messages")
+        return Outbox(self._sent.reshape(-1, 4).copy(), self._outgoing.reshape(-1, 4).copy())
+
+    @outbox.setter
+    def outbox(self, outbox: Outbox) -> None:
+        self._sent, self._outgoing = outbox.sent.ravel(), outbox.message.ravel()
 
     def counters(self) -> Counter[str]:
         """Return the counters of effects and boards so far, by ``effect.counter``, retired cells included."""

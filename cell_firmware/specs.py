@@ -48,6 +48,9 @@ class CellsSpec(Spec):
     """The control period; the default is one real-time interrupt of an MC68HC11 at 8 MHz."""
     parameters: dict[str, Any] = {}  # noqa: RUF012 - pydantic copies it
     """Parameters of the firmware, which validates them."""
+    initial_registers: dict[str, Any] = {}  # noqa: RUF012 - pydantic copies it
+    """Variables of the program that begin with other values than those of its ``init``, after each power-on: by name, a
+    value for every cell, or a table of values by ``"row,column"``."""
     board: Board | None = None
     """A board by name, or ``{ name, without }``: adds the board's effects except ``without`` to the scene's effects."""
     on_failure: Literal["stop", "isolate"] = "stop"

@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from bus.errors import BusError
     from bus.lattice import SIDES, Lattice
     from bus.spec import Finite, NotNegative, Positive, Spec, Vector
+    from cell_firmware.array_view import ArrayView, Violation
     from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs
     from cell_firmware.errors import FirmwareError, ParametersError, Problem
     from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, Outbox, Outputs, State
     from cell_firmware.program import NoParameters, Program, Theory
     from cell_firmware.scalar_program import ScalarProgram, scalar_function
     from deploy.errors import DeployError, InputError
+    from deploy.lab.lab import Lab, LabSnapshot
     from deploy.live.client import LiveRun
     from deploy.live.frame import RunFrame
     from deploy.recordings.exports.registry import export_recording
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from deploy.recordings.reader import CellTrace, ParcelTrace, Recording
     from deploy.recordings.reader import load as load_recording
     from deploy.runs.backends import CellsBackend, InProcess, Workers
+    from deploy.runs.checking import InvariantBroken
     from deploy.runs.result import RunResult
     from deploy.runs.simulation import Simulation
     from deploy.scenes.errors import SceneError
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SIDES",
+    "ArrayView",
     "BusError",
     "Cell",
     "CellFirmware",
@@ -62,6 +66,9 @@ __all__ = [
     "Inbox",
     "InputError",
     "Inputs",
+    "InvariantBroken",
+    "Lab",
+    "LabSnapshot",
     "Lattice",
     "LiveRun",
     "NoParameters",
@@ -91,6 +98,7 @@ __all__ = [
     "TickHooks",
     "TickRecord",
     "Vector",
+    "Violation",
     "Workers",
     "export_recording",
     "load_recording",
@@ -107,15 +115,18 @@ _MODULES: Final = {
     "cell_firmware.cell": ("Cell", "CellFirmware", "CellInputs", "CellOutputs"),
     "cell_firmware.errors": ("FirmwareError", "ParametersError", "Problem"),
     "cell_firmware.firmware": ("Cells", "Firmware", "Inbox", "Inputs", "Outbox", "Outputs", "State"),
+    "cell_firmware.array_view": ("ArrayView", "Violation"),
     "cell_firmware.scalar_program": ("ScalarProgram", "scalar_function"),
     "cell_firmware.program": ("NoParameters", "Program", "Theory"),
     "deploy.errors": ("DeployError", "InputError"),
+    "deploy.lab.lab": ("Lab", "LabSnapshot"),
     "deploy.live.client": ("LiveRun",),
     "deploy.live.frame": ("RunFrame",),
     "deploy.recordings.exports.registry": ("export_recording",),
     "deploy.recordings.info": ("RecordingInfo", "recording_info"),
     "deploy.recordings.reader": ("CellTrace", "ParcelTrace", "Recording", "load_recording=load"),
     "deploy.runs.backends": ("CellsBackend", "InProcess", "Workers"),
+    "deploy.runs.checking": ("InvariantBroken",),
     "deploy.runs.result": ("RunResult",),
     "deploy.runs.simulation": ("Simulation",),
     "deploy.scenes.errors": ("SceneError",),

@@ -82,7 +82,7 @@ def attach_fault(
 
 
 def init_new_wrappers(controller: Controller, state: ControllerState, drive: Floats) -> ControllerState:
-    """Add the state of wrappers that were attached to a running controller.
+    """Add the state of wrappers, and of their faults, that were attached to a running controller.
 
     Args:
         controller: The running controller.
@@ -91,8 +91,11 @@ def init_new_wrappers(controller: Controller, state: ControllerState, drive: Flo
     """
     inside = controller
     while isinstance(inside, ControllerWrapper):
-        if inside.part not in state.parts and isinstance(inside, FaultWrapper):
-            state = inside.begin(state, drive)
+        if isinstance(inside, FaultWrapper):
+            own = state.parts.get(inside.part, {})
+            begun = inside.begin(inside.unwrap_state(state), drive).parts[inside.part]
+            if begun.keys() != own.keys():
+                state = inside.wrap_state(inside.unwrap_state(state), {**begun, **own})
         inside = inside.controller
     return state
 

@@ -41,6 +41,7 @@ _OPTIONAL_VALUES = {
     "--messages": ("1", re.compile(r"[+-]?\d+")),
     "--trace-messages": ("all", re.compile(r"[^-].*")),
     "--registers": ("1", re.compile(r"[+-]?\d+")),
+    "--check": ("stop", re.compile(r"stop|count")),
     "--docs": ("docs", re.compile(r"[^-].*")),
 }
 """Options with an optional value: the value when the option stands alone, and the pattern of a given value."""

@@ -136,6 +136,14 @@ OutputOption = Annotated[
         help="Folder for the results. Default: one under runs/.",
     ),
 ]
+CheckOption = Annotated[
+    bool,
+    typer.Option(
+        "--check",
+        rich_help_panel=_JUDGED,
+        help="Check the invariants of the cells' program after every tick; a run that breaks one fails.",
+    ),
+]
 ResumeOption = Annotated[
     Path | None,
     typer.Option(
@@ -176,6 +184,7 @@ def campaign(
     within: WithinOption = None,
     confidence: ConfidenceOption = None,
     limit: LimitOption = None,
+    check: CheckOption = False,
     jobs: JobsOption = None,
     output: OutputOption = None,
     resume: ResumeOption = None,
@@ -221,6 +230,7 @@ def campaign(
         "within_m": within,
         "limit_s": limit,
         "confidence": confidence,
+        "check": check or None,
     }
     if resume is None:
         spec, text, folder = _new(given, output)
@@ -286,7 +296,7 @@ def _run(
     import time
 
     from deploy.runs.output import run_name, versions
-    from deploy.runs.setup import warnings_of
+    from deploy.runs.setup import check_conditions, warnings_of
     from deploy.studies.campaign.cases import cases_of
     from deploy.studies.campaign.runner import Campaign
     from deploy.studies.campaign.spec import write
@@ -299,6 +309,9 @@ def _run(
         notify = silent if quiet else say
         with interruption.interruptible():
             cases = cases_of(spec, text)
+            if spec.check:
+                for case in cases.cases:
+                    check_conditions(case.scene)
             for line in dict.fromkeys(line for case in cases.cases for line in warnings_of(case.scene)):
                 notify(f"warning: {line}")
         if folder is None:

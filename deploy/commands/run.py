@@ -146,6 +146,16 @@ ProtocolReportOption = Annotated[
         "and theoretical rate, load of the links. Writes a table (protocol.csv) and a plot (protocol.png).",
     ),
 ]
+CheckOption = Annotated[
+    Literal["stop", "count"] | None,
+    typer.Option(
+        "--check",
+        rich_help_panel=EXECUTION_PANEL,
+        metavar="[stop|count]",
+        help="Check the invariants of the cells' program after every tick: stop at the first violation (the default), "
+        "or count violations. A run with a violation fails.",
+    ),
+]
 RespawnOption = Annotated[
     int,
     typer.Option(
@@ -210,6 +220,7 @@ def run(
     messages: MessagesOption = None,
     trace_messages: TraceMessagesOption = None,
     protocol_report: ProtocolReportOption = None,
+    check: CheckOption = None,
     respawn: RespawnOption = 0,
     replay: ReplayOption = None,
     checkpoint: CheckpointOption = None,
@@ -252,6 +263,7 @@ def run(
         messages=messages,
         trace_messages=None if not trace_messages else " ".join(trace_messages),
         protocol_report=protocol_report,
+        check=check,
         respawn=respawn,
         replay=replay,
         checkpoint_s=checkpoint,

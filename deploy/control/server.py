@@ -144,6 +144,11 @@ class LiveFaults:
         self._repaired: set[int] = set()
         self._process = process
 
+    @property
+    def known(self) -> tuple[FaultInstance[FaultSpec], ...]:
+        """All faults so far."""
+        return tuple(self._faults.values())
+
     def handle(self, request: FaultRequest, tick: int) -> dict[str, Any]:
         """Handle a request before ``tick``; return the fields of the answer.
 

@@ -21,13 +21,15 @@ from deploy.workers.plan import RunOptions, plan
 from deploy.workers.worker import WorkerConfig, build_shard
 
 if TYPE_CHECKING:
+    from bus.fault import FaultInstance
     from bus.lockstep.registers import RegisterRequest
     from bus.sensors import SensorSchema
     from bus.wire.keys import WireFormat
+    from cell_firmware.faults.base import CellFault
     from cell_firmware.shard import Shard
     from deploy.scenes.scene import Scene
     from deploy.workers.system import System
-    from deploy.workers.worker import ResumePoint
+    from deploy.workers.worker import BuiltShard, ResumePoint
     from plant.array import CellArray
     from plant.tick import LockstepPort
 
@@ -80,30 +82,36 @@ class InProcess:
     """All cells in one shard, which the plant's thread steps: no bus, no other thread, no process.
 
     A program that does not return blocks the caller; ``Workers`` notice that.
+
+    Args:
+        metered: Whether the cells count their messages.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, metered: bool = True) -> None:
+        self._metered = metered
         self._port: _DirectPort | None = None
+        self._built: BuiltShard | None = None
         self._records: tuple[type, ...] = ()
 
     def start(self, scene: Scene, array: CellArray, sensors: SensorSchema) -> LockstepPort:
         """Create the cells; see ``CellsBackend``."""
+        self._partition = Partition.even(array.lattice, 1)
         config = WorkerConfig(
             scene=scene,
             array=array,
-            partition=Partition.even(array.lattice, 1),
+            partition=self._partition,
             wire="packed",
             run="in-process",
             connect="",
             sensors=sensors,
             register_requests=(),
-            metered=True,
+            metered=self._metered,
             byte_accurate_links=False,
             joins_running=False,
             keys=(),
             own_process=False,
         )
-        built = build_shard(config, 0)
+        built = self._built = build_shard(config, 0)
         self._records = built.records
         self._port = _DirectPort(built.cells)
         return self._port
@@ -127,6 +135,11 @@ class InProcess:
     def shard(self) -> Shard:
         """The shard of all cells, for analysis and tests."""
         return self._started().shard
+
+    def inject(self, fault: FaultInstance[CellFault]) -> None:
+        """Inject a fault of cells or links, effective from the next tick at the earliest."""
+        assert self._built is not None, "this is a bug: the cells have not been started"
+        self._built.cells.inject(fault, self._built.site, self._partition.lattice)
 
     def _started(self) -> _DirectPort:
         assert self._port is not None, "this is a bug: the cells have not been started"

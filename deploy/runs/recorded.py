@@ -29,8 +29,9 @@ from plant.errors import PlantError, PlantStopped
 from plant.tick import TickHooks, TickRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from bus.fault import FaultInstance, FaultSpec
     from bus.lockstep import Coordinator
     from bus.lockstep.registers import RegisterSnapshot
     from cell_firmware.controller import Controller
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from deploy.control.server import ControlServer
     from deploy.recordings.run_log import RunLog
     from deploy.recordings.writer import Recorder
+    from deploy.runs.checking import RunChecker
     from deploy.runs.rejections import RejectionMonitor
     from deploy.runs.setup import RunSetup
     from deploy.workers.respawn import Respawner
@@ -59,6 +61,7 @@ class RecordedRun:
         recorder: Recording of the run.
         rejections: Monitor of denied and malformed messages.
         interruption: Ends the run between two ticks, or while it only waits.
+        checker: Checker of the program's invariants; None without ``--check``, or before the cells have started.
     """
 
     setup: RunSetup
@@ -69,6 +72,7 @@ class RecordedRun:
     recorder: Recorder
     rejections: RejectionMonitor
     interruption: Interruption
+    checker: RunChecker | None = None
     _checkpointer: Checkpointer | None = field(default=None, init=False)
     _control: ControlServer | None = field(default=None, init=False)
 
@@ -107,6 +111,8 @@ class RecordedRun:
             self.interruption.is_idle = lambda: False
         if simulation is not None:
             result.startup_s = started - begun
+        if self.checker is not None:
+            self.checker.judge(result)
         self._log_end(result)
         self._stop(result, time.monotonic() - started)
         if simulation is not None and not self.recorder.broken:
@@ -152,6 +158,7 @@ class RecordedRun:
     def _open(self) -> Simulation:
         """Start the cells and register everything that hooks into ticks."""
         setup, resumed = self.setup, self.setup.resumed
+        self.checker = self._checker()
         simulation = Simulation.open(
             setup.scene,
             BusCells(
@@ -179,6 +186,8 @@ class RecordedRun:
     def _add_hooks(self, simulation: Simulation, coordinator: Coordinator) -> None:
         """Register the log, monitors, respawner, control server and checkpointer, in the order in which they act."""
         process = simulation.process
+        if self.checker is not None:  # a violation ends the run before anything of the next tick is sent
+            simulation.add_hooks(TickHooks(before_tick=(lambda _: process.report(),)))
         checkpointer = self._checkpointer = make_checkpointer(
             self.metadata,
             self.setup.options,
@@ -217,6 +226,7 @@ class RecordedRun:
     def _watch(self, coordinator: Coordinator) -> Callable[[TickRecord], None]:
         """Return the hook that handles hang reports, registers and rejections after a tick."""
         hangs, reporter = self.setup.scene.effects.cop is not None, self.setup.reporter
+        checker = self.checker
 
         def watch(record: TickRecord) -> None:
             if hangs:
@@ -225,6 +235,8 @@ class RecordedRun:
                 self._record_registers(registers)
                 if reporter is not None:
                     reporter.take(registers)
+                if checker is not None:
+                    checker.take(registers)
             self.rejections.poll(coordinator.counters)
             if reporter is not None:
                 reporter.take_drive(record.tick, record.drives, coordinator.live(record.tick))
@@ -265,11 +277,25 @@ class RecordedRun:
             message = self._controller().message_type
             assert message is not None, "this is a bug: a trace of a program without messages"
             requests += (RegisterRequest(1, frozenset(trace_registers(message))),)
+        if self.checker is not None:
+            requests += self.checker.wanted
         return requests if reporter is None else (*requests, *reporter.wanted)
 
     def _controller(self) -> Controller:
         setup = self.setup
         return make_controller(setup.scene, cell_faults(setup.scene), live=setup.byte_accurate_links)
+
+    def _checker(self) -> RunChecker | None:
+        """Return the checker of the program's invariants; None without ``--check``."""
+        check = self.setup.options.check
+        if check is None:
+            return None
+        from deploy.runs.checking import RunChecker
+
+        def faults() -> Sequence[FaultInstance[FaultSpec]]:
+            return self.setup.in_run_faults if self._control is None else self._control.faults.known
+
+        return RunChecker(self.setup.scene, self.plant.array.lattice, check, faults)
 
     def _message_names(self) -> frozenset[str]:
         """Return the names of the registers that show messages."""

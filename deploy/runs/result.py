@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Self, final
+from typing import TYPE_CHECKING, Any, Self, final
 
 from bus.lockstep.counters import MessageCounters
 from deploy.recordings.losses import Places, failure, lines, nobody
@@ -160,6 +160,7 @@ def summary_of(
     *,
     warnings: tuple[str, ...],
     protocol: ProtocolReport | None,
+    check: Mapping[str, Any] | None,
     resumed: tuple[int, ...],
 ) -> Summary:
     """Return the summary of a run.
@@ -174,6 +175,7 @@ def summary_of(
         folder: Output folder.
         warnings: Warnings given before the start.
         protocol: Protocol report; None without one.
+        check: Violations of invariants; None where they weren't checked.
         resumed: Ticks before which the run was resumed.
     """
     counts = ending.counters
@@ -214,6 +216,7 @@ def summary_of(
         warnings=warnings,
         effects=_of_effects(counts.cell_counters),
         protocol=protocol,
+        check=check,
         digest=run_log.digest,
         resumed=resumed,
         output=str(folder),

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from deploy.checkpoints.checkpoint import Checkpoint
     from deploy.checkpoints.checkpointer import CheckpointMetadata
     from deploy.protocol_report.report import ProtocolReport
+    from deploy.runs.checking import RunChecker
     from deploy.scenes.scene import Scene
     from plant.plant import Plant
 
@@ -116,6 +117,7 @@ class _Run:
         self.quiet = quiet
         self.about: CheckpointMetadata | None = None
         self.result: RunResult
+        self.checker: RunChecker | None = None
 
     def go(self) -> Outcome:
         """Run, and write all outputs; see `run`."""
@@ -152,6 +154,7 @@ class _Run:
             folder,
             warnings=setup.warnings,
             protocol=self._report(run_log),
+            check=self.checker and self.checker.as_json(),
             resumed=() if self.about is None else self.about.resumed,
         )
         for leave in (self._write, self._write_report, self._illustrate):
@@ -206,6 +209,7 @@ class _Run:
             )
             with advertise(run, system.locator, folder):
                 self.result = execution.run(self.begun)
+            self.checker = execution.checker
             self._close(recorder, run_log.digest)
         return run_log, refused
 

@@ -114,6 +114,22 @@ def _talks(scene: Scene) -> bool:
     return load(scene.cells).message is not None
 
 
+def check_conditions(scene: Scene) -> None:
+    """Check that the program has conditions to be checked.
+
+    Raises:
+        InputError: It has none.
+    """
+    from cell_firmware.invariants import declares_invariants
+    from cell_firmware.loader import load
+
+    if not declares_invariants(load(scene.cells)):
+        raise InputError(
+            f"--check: the program {scene.cells.firmware} has no conditions: it defines neither invariants(view) nor "
+            "eventually(view)"
+        )
+
+
 def _first_cell(scene: Scene) -> Cells:
     from cell_firmware.firmware import Cells
     from plant.array import CellArray
@@ -219,6 +235,8 @@ def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -
         select_cells(options.trace_messages, planned.partition.lattice.cells, "--trace-messages")
     if options.registers is not None:
         warnings += register_warnings(scene)
+    if options.check is not None:
+        check_conditions(scene)
     reporter = _reporter(scene, planned.partition.lattice, options.protocol_report)
     replayed, script = None, ()
     if options.replay is not None:

@@ -131,6 +131,8 @@ class Summary:
         effects: What effects of the cells did to cells that lived, by ``effect.what``, of all processes that said so:
             one that is killed from outside does not.
         protocol: What the cells' protocol did, held against theory; None unless requested.
+        check: Violations of the program's invariants: ``violations``, ``by_rule``, and the ``first`` of them; None
+            unless requested.
         digest: See ``deploy/recordings/digest.py``; None where there is none.
         resumed: Ticks before which the run was taken up again from a checkpoint, in order; what was done twice counts
             once, in ``wall_s`` too.
@@ -163,6 +165,7 @@ class Summary:
     effects: Mapping[str, int] = field(default_factory=dict[str, int])
     firmware: Mapping[str, str | int] | None = None
     protocol: ProtocolReport | None = None
+    check: Mapping[str, Any] | None = None
     digest: str | None = None
     resumed: Sequence[int] = ()
     output: str | None = None

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bus.fault import FaultInstance, FaultSpec
 from bus.lattice import NO_TICK_LIMIT, Lattice
 from cell_firmware.faults.base import CellFault
@@ -97,6 +100,22 @@ def of_plant(faults: Sequence[FaultInstance[FaultSpec]]) -> tuple[FaultInstance[
     return tuple(
         cast("FaultInstance[PlantFault]", one) for one in faults if isinstance(one.fault, PlantFault)
     )
+
+
+def disturbs(faults: Sequence[FaultInstance[FaultSpec]], tick: int) -> bool:
+    """Whether a fault begins or ends in a tick, or is active and will end."""
+    return any(
+        tick == one.start_tick or one.start_tick <= tick <= one.end_tick != NO_TICK_LIMIT for one in faults
+    )
+
+
+def halted_cells(faults: Sequence[FaultInstance[FaultSpec]], tick: int, cells: int) -> NDArray[np.bool_]:
+    """Return which cells' programs a fault halts in a tick, ``(cells,)``: crashes, removed modules, hangs, reboots."""
+    halted = np.zeros(cells, dtype=np.bool_)
+    for one in faults:
+        if isinstance(one.fault, CellFault) and one.fault.halts_program and one.active_at(tick):
+            halted[one.cells] = True
+    return halted
 
 
 def cell_only_faults(scene: Timetable) -> list[str]:

@@ -204,6 +204,8 @@ class Scene(Spec):
         data["cells"]["firmware"] = self.cells.firmware.rpartition("/")[2]
         del data["cells"]["board"]  # its effects are written out
         del data["cells"]["on_failure"]  # changes no tick before a failure
+        if not self.cells.initial_registers:
+            del data["cells"]["initial_registers"]
         data["cells"]["parameters"] = normal_parameters(self.cells)
         data["cells"]["speed_loop"] = self.speed_loop and self.speed_loop.model_dump(mode="json")
         for key in ("missing", "cells"):

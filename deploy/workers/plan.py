@@ -194,6 +194,8 @@ class RunOptions:
         registers: Period at which the cells' registers are recorded, ticks; None: never.
         messages: Period at which the messages between cells are recorded, ticks; None: never.
         trace_messages: Cells whose messages are traced, as ``deploy.util.cell_ranges`` has them; None: none.
+        check: Whether the invariants of the program are checked: ``stop`` ends the run at the first violation,
+            ``count`` goes on and counts; None: they aren't.
         respawn: Most restarts of lost workers in all.
         replay: Folder of a recorded run of the scene, whose live commands and losses are repeated; None: no replay.
         protocol_report: Period at which the protocol's field is sampled for the report, ticks; None: no report.
@@ -215,6 +217,7 @@ class RunOptions:
     messages: int | None = None
     trace_messages: str | None = None
     protocol_report: int | None = None
+    check: Literal["stop", "count"] | None = None
     respawn: int = 0
     replay: Path | None = None
     keys: Path | None = None

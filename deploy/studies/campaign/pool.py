@@ -52,9 +52,11 @@ class WorkerLoop:
 
     Args:
         address: Path of the socket from which scenes are received.
+        check: Whether runs check the invariants of their programs.
     """
 
     address: str
+    check: bool = False
 
     def __call__(self, worker: int) -> None:
         """Run scenes; ``worker`` is this one's number."""
@@ -67,7 +69,7 @@ class WorkerLoop:
                     scene: Scene = connection.recv()
                 except (EOFError, ConnectionResetError):
                     return
-                ending = _run(scene)
+                ending = _run(scene, check=self.check)
                 # A firmware that never returns would slow down what runs here next: another process does that.
                 spent = any(thread.name == _CELLS for thread in threading.enumerate())
                 connection.send((ending, spent))
@@ -75,9 +77,9 @@ class WorkerLoop:
                     return
 
 
-def _run(scene: Scene) -> CaseRecord:
+def _run(scene: Scene, *, check: bool) -> CaseRecord:
     try:
-        return run_case(scene)
+        return run_case(scene, check=check)
     except Exception as error:  # noqa: BLE001 - whatever it is, it is how this run ended, and the others go on
         where = traceback.extract_tb(error.__traceback__)[-1]
         return CaseRecord(status="failed", reason=f"{error!r} ({where.filename}, line {where.lineno})")
@@ -148,9 +150,10 @@ class ExecutorPool:
         jobs: Runs at a time.
         limit_s: Wall time of a run, after which it is ended.
         poll: Called many times a second; may raise.
+        check: Whether runs check the invariants of their programs.
     """
 
-    def __init__(self, jobs: int, limit_s: float, poll: Callable[[], None]) -> None:
+    def __init__(self, jobs: int, limit_s: float, poll: Callable[[], None], *, check: bool = False) -> None:
         self._jobs = jobs
         self._limit_s = limit_s
         self._poll = poll
@@ -165,7 +168,7 @@ class ExecutorPool:
             self._listener.bind(address)
             self._listener.listen(jobs)
             self._workers = stack.enter_context(WorkerPool(PRELOAD))
-            self._workers.start(WorkerLoop(address), ())
+            self._workers.start(WorkerLoop(address, check), ())
             stack.callback(self._dismiss)
             self._stack = stack.pop_all()
 

@@ -71,15 +71,20 @@ class CaseRecord:
     wall_s: float = 0.0
 
 
-def run_case(scene: Scene) -> CaseRecord:
-    """Run a scene with the whole system in this process; errors are part of the result."""
+def run_case(scene: Scene, *, check: bool = False) -> CaseRecord:
+    """Run a scene with the whole system in this process; errors are part of the result.
+
+    Args:
+        scene: The scene.
+        check: Whether the run ends as failed where an invariant of its program is broken.
+    """
     from cell_firmware.errors import FirmwareError
     from deploy.recordings.digest import Digest
     from deploy.runs.headless import run_headless
 
     digest = Digest(scene.canonical())
     try:
-        result = run_headless(scene, digest=digest)
+        result = run_headless(scene, digest=digest, check="stop" if check else None)
     except (DeployError, PlantError, FirmwareError) as error:
         return CaseRecord(status="failed", reason=str(error))
     if result.status != "ok":

@@ -165,7 +165,9 @@ class Campaign:
 
     def _run_parallel(self, journal: Journal, jobs: int, interruption: Interruption) -> None:
         # Workers import what they need while this process compiles kernels, or finds them compiled.
-        with ExecutorPool(jobs, self.spec.limit_s, interruption.raise_if_requested) as pool:
+        with ExecutorPool(
+            jobs, self.spec.limit_s, interruption.raise_if_requested, check=self.spec.check
+        ) as pool:
             with interruption.interruptible():
                 self._warm_up()
             self.execute(pool, journal)

@@ -40,6 +40,7 @@ class CampaignSpec(Spec):
     against: tuple[str, ...] = ()
     within_m: Positive | None = None
     limit_s: Positive = 600.0
+    check: bool = False
     confidence: Annotated[float, Field(gt=0, lt=1)] = 0.95
 
 
