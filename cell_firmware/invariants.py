@@ -27,8 +27,8 @@ class InvariantMonitor:
     """Monitor of a program's invariants and eventual conditions, in order of ticks.
 
     A condition of ``eventually`` is due ``ticks`` ticks after the first view, after the last disturbance, and after it
-    was last true. A disturbance is a fault that begins or ends, each tick of a fault that will end, and each change of
-    the running cells.
+    was last true. A disturbance is a fault that begins or ends, each tick of a fault of links or sensors that will end,
+    and each change of the running cells.
 
     Args:
         program: The cells' program.
@@ -53,21 +53,36 @@ class InvariantMonitor:
         """
         if self._running != view.cells:
             disturbed, self._running = True, view.cells
-        found = [
+        found, awaited = self.evaluate(view)
+        self._since = {
+            one.rule: view.tick if disturbed else self._since.get(one.rule, view.tick) for one, _ in awaited
+        }
+        for one, ticks in awaited:
+            if view.tick - self._since[one.rule] >= ticks:
+                found.append(one)
+                self._since[one.rule] = view.tick
+        return found
+
+    def evaluate(self, view: ArrayView) -> tuple[list[Violation], list[tuple[Violation, int]]]:
+        """Evaluate all conditions on their own, without regard to earlier ticks.
+
+        Returns:
+            Broken invariants; and eventual conditions that are false, with their ticks.
+
+        Raises:
+            FirmwareError: The program's conditions raised, or yielded something else than conditions.
+        """
+        broken = [
             _violation("always", rule, view, holds)
             for rule, holds, _ in self._conditions("invariants", view)
             if not np.all(holds)
         ]
-        for rule, holds, ticks in self._conditions("eventually", view):
-            if np.all(holds):
-                self._since.pop(rule, None)
-                continue
-            since = view.tick if disturbed else self._since.get(rule, view.tick)
-            if view.tick - since >= ticks:
-                found.append(_violation("eventually", rule, view, holds))
-                since = view.tick
-            self._since[rule] = since
-        return found
+        awaited = [
+            (_violation("eventually", rule, view, holds), ticks)
+            for rule, holds, ticks in self._conditions("eventually", view)
+            if not np.all(holds)
+        ]
+        return broken, awaited
 
     def waiting(self, tick: int) -> tuple[tuple[str, int], ...]:
         """Return for how many ticks each eventual condition has been false after ``tick``, sorted."""

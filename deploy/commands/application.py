@@ -17,6 +17,7 @@ COMMANDS = {
     "accuracy": "Measure the cost of accuracy in time: every solver against a reference.",
     "campaign": "Run a scene over seeds, faults and parameters: one table, one plot.",
     "control": "Pause, step, speed up, reset or stop a running system.",
+    "check": "Search for faults that break a protocol's conditions, exhaustively in small worlds.",
     "constants": "Print the constants of motion of a pose: equilibrium, loads, torque.",
     "export": "Write a recording in the formats of other tools: netCDF, Parquet, CSV, Foxglove.",
     "fault": "Inject a fault into a running system, or repair a fault.",

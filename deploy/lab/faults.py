@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
@@ -150,7 +151,11 @@ def write_scene(path: Path, scene: Scene, faults: Sequence[Table], ticks: int, t
         DeployError: The file can't be written.
     """
     check_importable(scene.cells.firmware)
-    write_text(path, toml_text(scene_tables(scene, faults, ticks, title)))
+    tables = scene_tables(scene, faults, ticks, title)
+    file, colon, name = scene.cells.firmware.partition(":")
+    if file.endswith(".py"):  # a relative path starts at the scene's folder
+        tables["cells"]["firmware"] = os.path.relpath(file, path.absolute().parent) + colon + name
+    write_text(path, toml_text(tables))
 
 
 def _order(name: str) -> tuple[int, str]:

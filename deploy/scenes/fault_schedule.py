@@ -103,17 +103,24 @@ def of_plant(faults: Sequence[FaultInstance[FaultSpec]]) -> tuple[FaultInstance[
 
 
 def disturbs(faults: Sequence[FaultInstance[FaultSpec]], tick: int) -> bool:
-    """Whether a fault begins or ends in a tick, or is active and will end."""
+    """Whether a fault begins or ends in a tick, or acts on running programs and will end."""
     return any(
-        tick == one.start_tick or one.start_tick <= tick <= one.end_tick != NO_TICK_LIMIT for one in faults
+        tick in (one.start_tick, one.end_tick)
+        or (one.start_tick < tick < one.end_tick != NO_TICK_LIMIT and not _halts(one))
+        for one in faults
     )
+
+
+def _halts(one: FaultInstance[FaultSpec]) -> bool:
+    """Whether a fault halts programs."""
+    return isinstance(one.fault, CellFault) and one.fault.halts_program
 
 
 def halted_cells(faults: Sequence[FaultInstance[FaultSpec]], tick: int, cells: int) -> NDArray[np.bool_]:
     """Return which cells' programs a fault halts in a tick, ``(cells,)``: crashes, removed modules, hangs, reboots."""
     halted = np.zeros(cells, dtype=np.bool_)
     for one in faults:
-        if isinstance(one.fault, CellFault) and one.fault.halts_program and one.active_at(tick):
+        if _halts(one) and one.active_at(tick):
             halted[one.cells] = True
     return halted
 
