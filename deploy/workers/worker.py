@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cell_firmware.build import CellFaults
     from cell_firmware.controller import Controller
     from cell_firmware.effects.base import ShardContext
+    from cell_firmware.firmware import Firmware
     from cell_firmware.shard import Shard
     from deploy.scenes.scene import Scene
     from plant.array import CellArray
@@ -264,6 +265,7 @@ def make_controller(
     live: bool = False,
     metered: bool = False,
     traced: bool = False,
+    firmware: Firmware | None = None,
 ) -> Controller:
     """Build the controller of a scene's cells.
 
@@ -273,15 +275,15 @@ def make_controller(
         live: Whether serial lines are byte-accurate, so that faults can be injected at run time.
         metered: Whether the cell's messages are counted.
         traced: Whether the cell's messages are recorded.
+        firmware: The cells' program; None: loaded here.
     """
     from cell_firmware.build import build_controller
     from cell_firmware.loader import load
     from deploy.scenes.motor_facts import motor_facts
 
     motors = motor_facts(scene.effects.motors)
-    firmware = load(scene.cells)
     return build_controller(
-        firmware,
+        firmware or load(scene.cells),
         scene.cells,
         scene.effects,
         motors,
@@ -328,8 +330,14 @@ def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
 
     scene, array, readings = order.scene, order.array, order.sensors
     faults = cell_faults(scene)
+    firmware = load(scene.cells)
     controller = make_controller(
-        scene, faults, live=order.byte_accurate_links, metered=order.metered, traced=order.traced
+        scene,
+        faults,
+        live=order.byte_accurate_links,
+        metered=order.metered,
+        traced=order.traced,
+        firmware=firmware,
     )
     cells, clocks = order.partition.cells(index), scene.clocks()
     site = ShardContext(
@@ -360,7 +368,7 @@ def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
         () if faults is None else faults.injected,
     )
     shard.shows_messages = order.messages
-    return BuiltShard(shard, site, records_of(load(scene.cells)))
+    return BuiltShard(shard, site, records_of(firmware))
 
 
 def _all_dead_by_schedule(order: WorkerConfig, shard: int, schedule: Deaths, ticks: int) -> bool:

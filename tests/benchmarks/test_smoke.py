@@ -98,6 +98,9 @@ SCRIPTS: dict[str, Smoke] = {
     "protocols/align_sweep.py": Smoke("--quick", rf"camera +{N} +{N} +{N} +{N}%"),
     "protocols/hops_over_bad_links.py": Smoke("--seeds 1", rf"clocks off by up to 5 % +8 +{N} +{N} +{N}"),
     "protocols/junction.py": Smoke("--parcels 8 --gaps 2 --seconds 5", rf"1 +2\.00 +{N} +2\.00 +{N}"),
+    "protocols/lab_speed.py": Smoke(
+        "--side 3 --ticks 20 --turns 1 --depth 3", rf"search of 2 x 3 cells: {N} states, .* {N} states/s"
+    ),
     "protocols/parcel_estimate.py": Smoke("--seeds 1 --cases loss\\ 0.2", rf"loss 0.2 +{N} +{N} +{N} +{N}"),
     "protocols/parcel_estimate_study.py": Smoke(
         "--seeds 2 --seconds 2.5 --dead 10", rf"2 +10 +{N} +{N} +{N}"
