@@ -102,7 +102,7 @@ class ArrayView:
             ) from None
 
     def forget_reads(self) -> None:
-        """Forget which registers were read, so that a condition's values are those that it reads itself."""
+        """Forget which registers were read, before the next condition is evaluated."""
         self._read = {}
 
     def values(self, row: int | None) -> dict[str, Any]:

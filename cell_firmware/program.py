@@ -90,7 +90,7 @@ class Program:
 
     @property
     def author(self) -> Program:
-        """The program as its author wrote it: itself, unless it is an adapter."""
+        """The author's program, without an adapter around it."""
         return self
 
     def invariants(self, view: ArrayView) -> Iterable[tuple[str, Any]]:

@@ -109,7 +109,7 @@ def _with(state: Any, name: str, value: Any) -> Any:
 
 
 def _alike(before: Any, value: Any) -> Any:
-    """Return a value in the type that it replaces."""
+    """Return a value in the type of the earlier value."""
     plain: Any = np.asarray(value).tolist()
     if isinstance(before, bool | int | float):
         return type(before)(plain)

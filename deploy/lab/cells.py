@@ -45,7 +45,7 @@ class LabCells(Protocol):
         ...
 
     def step(self, presence: Presence) -> Sequence[Loss]:
-        """Run one tick; returns the cells whose programs failed."""
+        """Run one tick, and return the cells with failed programs."""
         ...
 
     def inject(self, fault: FaultInstance[FaultSpec]) -> None:
@@ -93,7 +93,7 @@ class CellsAlone:
         return self._cells.shard
 
     def step(self, presence: Presence) -> Sequence[Loss]:
-        """Run one tick; returns the cells whose programs failed."""
+        """Run one tick, and return the cells with failed programs."""
         tick = self.tick
         self._port.publish(SenseFrame(tick, presence, None))
         if self._deaths and tick in self._deaths:
@@ -149,7 +149,7 @@ class CellsOnPlant:
         return self._cells.shard
 
     def step(self, presence: Presence) -> Sequence[Loss]:
-        """Run one tick; returns the cells whose programs failed.
+        """Run one tick, and return the cells with failed programs.
 
         Raises:
             InputError: The scene is over.

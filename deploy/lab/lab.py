@@ -21,7 +21,7 @@ from deploy.errors import InputError
 from deploy.lab.cells import CellsAlone, CellsOnPlant, LabCells
 from deploy.lab.faults import fault_tables, in_seconds, write_scene
 from deploy.lab.injection import FaultInjection
-from deploy.lab.tables import CellName, Messages, Registers, States
+from deploy.lab.tables import CellName, MessageSlots, Registers, States
 from deploy.runs.checking import InvariantBroken
 from deploy.scenes.fault_schedule import disturbs
 from deploy.scenes.files import load_scene
@@ -184,8 +184,8 @@ class Lab(FaultInjection):
         shard = self._shard
         self.registers = Registers(self.lattice, shard)
         self.states = States(self.lattice, shard)
-        self.inbox = Messages(self.lattice, shard, received=True)
-        self.outbox = Messages(self.lattice, shard, received=False)
+        self.inbox = MessageSlots(self.lattice, shard, received=True)
+        self.outbox = MessageSlots(self.lattice, shard, received=False)
         if isinstance(presence, np.ndarray):
             self.presence = presence
 

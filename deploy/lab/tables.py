@@ -163,7 +163,7 @@ class States(_Table):
 
 
 @final
-class Messages(_Table):
+class MessageSlots(_Table):
     """Messages under way, sent in the last tick: by sender and side (outbox), or by receiver and side (inbox).
 
     ``messages[cell, side]`` is a dict, or None without a message. An assigned message is read in the next tick, unless

@@ -1,4 +1,4 @@
-"""Check of a protocol: searches for faults that break its conditions, and replays what it finds in a lab."""
+"""Check of a protocol: a search for faults that break a condition, and a replay of the counterexample in a lab."""
 
 from __future__ import annotations
 

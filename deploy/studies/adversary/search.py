@@ -19,7 +19,7 @@ _BATCH: Final = 4_096
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchResult:
-    """What a search has covered, and what it has found.
+    """Coverage of a search, and the violation found.
 
     Attributes:
         states: Number of different states, with the faults that led there; symmetric ones count once.
@@ -240,7 +240,7 @@ class _Search:
         return self._unfolded(steps)
 
     def _unfolded(self, steps: list[tuple[Node, tuple[Act, ...]]]) -> Schedule:
-        """Return the faults of one run whose states are symmetric to these."""
+        """Return the faults of a run through states symmetric to the given ones."""
         world = self._world
         node, schedule = world.start(), list[tuple[int, Act]]()
         for tick, (canonical, acts) in enumerate(steps):

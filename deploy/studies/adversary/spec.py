@@ -1,4 +1,4 @@
-"""What an adversary may do, and how far it is followed."""
+"""Powers of an adversary, and schedules of faults."""
 
 from __future__ import annotations
 
