@@ -17,6 +17,7 @@ from deploy.util.formatting import plural, say, silent
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
     from deploy.studies.adversary.check import Counterexample
+    from deploy.studies.adversary.sample import SampleResult
     from deploy.studies.adversary.search import SearchResult
     from deploy.studies.adversary.spec import Adversary
 
@@ -98,6 +99,20 @@ OutageOption = Annotated[
         help="Length of an outage of one direction of a link; repeatable. Default: 4.",
     ),
 ]
+SampleOption = Annotated[
+    int | None,
+    typer.Option(
+        "--sample",
+        rich_help_panel=_LIMITS,
+        metavar="N",
+        min=1,
+        help="Follow N random schedules of faults instead of all, for larger worlds; a counterexample is shrunk. Needs "
+        "the library Hypothesis.",
+    ),
+]
+SeedOption = Annotated[
+    int, typer.Option("--seed", rich_help_panel=_LIMITS, min=0, help="Seed of random schedules.")
+]
 SymmetryOption = Annotated[
     bool,
     typer.Option(
@@ -132,6 +147,8 @@ def check(
     depth: DepthOption = 12,
     delay: DelayOption = None,
     outage: OutageOption = None,
+    sample: SampleOption = None,
+    seed: SeedOption = 0,
     symmetry: SymmetryOption = True,
     states: StatesOption = 2_000_000,
     limit: LimitOption = 120.0,
@@ -139,7 +156,7 @@ def check(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Search small worlds for faults that break a condition of a protocol: all of them, each state once.
+    """Search for faults that break a condition of a protocol: all schedules in small worlds, each state once.
 
     A world has ideal links, no parcels and no plant. A loss, a delay or an outage of a link's direction, a death and a
     repair of a cell count as one fault each. Every state that at most --faults faults in the first --depth ticks lead
@@ -149,9 +166,10 @@ def check(
 
       [cyan]mdms check tree.py --world 2x2 --faults 2 --depth 12[/cyan]
       [cyan]mdms check words.py --begin version=65534 --kinds loss,outage --outage 5[/cyan]
+      [cyan]mdms check tree.py --world 4x6 --faults 5 --depth 40 --sample 1000[/cyan]
       [cyan]mdms run counterexample.toml --check[/cyan]
     """
-    from deploy.studies.adversary.check import check_exhaustively, world_scene
+    from deploy.studies.adversary.check import check_by_sampling, check_exhaustively, world_scene
 
     notify = silent if quiet else say
     adversary = _adversary(faults, depth, kinds, delay, outage, at_most)
@@ -164,11 +182,15 @@ def check(
             _size(text),
             parameters=_table(sets, "--set"),
             initial_registers=_table(begin, "--begin"),
+            seed=seed,
         )
         _check_covered(covered, scene, text)
-        result, counterexample = check_exhaustively(
-            scene, adversary, covered, symmetric=symmetry, most_states=states, limit_s=limit
-        )
+        if sample is not None:
+            result, counterexample = check_by_sampling(scene, adversary, sample, covered, limit_s=limit)
+        else:
+            result, counterexample = check_exhaustively(
+                scene, adversary, covered, symmetric=symmetry, most_states=states, limit_s=limit
+            )
         rows.append({"world": text, **result.as_json()})
         if not as_json:
             print(coverage(text, adversary, result))
@@ -180,13 +202,22 @@ def check(
     _finish(rows, counterexample, as_json=as_json)
 
 
-def coverage(world: str, adversary: Adversary, result: SearchResult) -> str:
+def coverage(world: str, adversary: Adversary, result: SearchResult | SampleResult) -> str:
     """Return what a search has covered, and what was cut off, in a line."""
+    from deploy.studies.adversary.search import SearchResult
+
+    powers = f"at most {plural(adversary.faults, 'fault')} ({', '.join(adversary.kinds)})"
+    if not isinstance(result, SearchResult):
+        what = (
+            f"{world}: {plural(result.schedules, 'random schedule')} of up to {plural(result.ticks, 'tick')}"
+        )
+        cut = f", ended by {result.limit}" if result.limit else ""
+        found = "no violation" if result.violation is None else f"BROKEN: {result.violation}"
+        return f"{what}{cut}; {powers}: {found}"
     merged = f", {result.symmetries} symmetries merged" if result.symmetries > 1 else ""
     what = f"{world}: {plural(result.states, 'state')}{merged}, {plural(result.ticks, 'tick')} deep"
     if result.tail_ticks:
         what += f" and {result.tail_ticks} without new faults"
-    powers = f"at most {plural(adversary.faults, 'fault')} ({', '.join(adversary.kinds)})"
     if result.violation is not None:
         return f"{what}; {powers}: BROKEN: {result.violation}"
     if result.limit:

@@ -15,6 +15,7 @@ from deploy.lab.faults import Table, in_seconds, write_scene
 from deploy.lab.lab import Lab
 from deploy.runs.checking import InvariantBroken
 from deploy.scenes.files import load_scene
+from deploy.studies.adversary.sample import SampleResult, sample
 from deploy.studies.adversary.search import SearchResult, search
 from deploy.studies.adversary.spec import Adversary, Schedule, tables_of
 from deploy.studies.adversary.world import World
@@ -127,6 +128,33 @@ def check_exhaustively(
     world = world_of(scene, adversary, covered)
     indices = [world.lattice.index(cell) for cell in covered]
     result = search(world, indices, symmetric=symmetric, most_states=most_states, limit_s=limit_s, poll=poll)
+    if result.schedule is None or result.violation is None:
+        return result, None
+    return result, replayed(scene, result.schedule, result.violation.tick, covered)
+
+
+def check_by_sampling(
+    scene: Scene,
+    adversary: Adversary,
+    schedules: int,
+    covered: Sequence[tuple[int, int]] = (),
+    *,
+    limit_s: float = 120.0,
+) -> tuple[SampleResult, Counterexample | None]:
+    """Follow random schedules; a counterexample has been shrunk, and replayed in a lab.
+
+    Args:
+        scene: Scene of ``world_scene``; its seed is that of the draws.
+        adversary: What may happen.
+        schedules: Number of schedules to draw.
+        covered: Cells that are covered in all ticks.
+        limit_s: Most wall time, s.
+
+    Raises:
+        InputError: Hypothesis is not installed.
+    """
+    world = world_of(scene, adversary, covered)
+    result = sample(world, schedules, seed=scene.seed, limit_s=limit_s)
     if result.schedule is None or result.violation is None:
         return result, None
     return result, replayed(scene, result.schedule, result.violation.tick, covered)

@@ -15,7 +15,13 @@ from deploy.lab.faults import in_seconds
 from deploy.lab.lab import Lab
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
-from deploy.studies.adversary.check import Counterexample, check_exhaustively, world_of, world_scene
+from deploy.studies.adversary.check import (
+    Counterexample,
+    check_by_sampling,
+    check_exhaustively,
+    world_of,
+    world_scene,
+)
 from deploy.studies.adversary.spec import KINDS, Act, Adversary, tables_of
 from deploy.studies.adversary.world import DEAD
 from deploy.workers.plan import RunOptions
@@ -238,3 +244,27 @@ def test_programs_without_conditions_and_wrong_powers_are_refused() -> None:
         Adversary(kinds=("los",))  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="depth 0: must be at least 1"):
         Adversary(depth=0)
+
+
+# --- sampled schedules ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sampled_counterexample_is_shrunk_to_the_fault_that_matters(seed: int) -> None:
+    scene = world_scene(HandOverUnacknowledged, (1, 8), seed=seed)
+    adversary = Adversary(6, 30, ("loss", "delay", "outage"))
+    result, counterexample = check_by_sampling(scene, adversary, 300)
+    assert counterexample is not None
+    assert counterexample.violation.rule == "a cell has the reservation"
+    assert [fault["kind"] for fault in counterexample.faults] == ["link_down"]
+    assert result.limit == ""
+
+
+def test_a_sampled_protocol_without_the_mistake_holds_and_draws_are_repeated() -> None:
+    scene = world_scene(Tree, (2, 4), seed=5)
+    adversary = Adversary(3, 10, ("loss", "delay", "death"))
+    first, counterexample = check_by_sampling(scene, adversary, 60)
+    again, _ = check_by_sampling(scene, adversary, 60)
+    assert counterexample is None
+    assert (first.schedules, first.transitions) == (again.schedules, again.transitions)
+    assert first.schedules == 60
