@@ -53,6 +53,8 @@ class Program:
     """Little-endian structured type of a message between neighbours; None without messages."""
     kernels: ClassVar[str] = ""
     """Module of the kernels that step it, imported before processes of cells are forked; empty without kernels."""
+    counters: ClassVar[Mapping[str, int]] = {}
+    """Wrap of each counting variable: the number after the greatest. ``mdms check`` begins near the wrap, too."""
     observable: ClassVar[str | None] = None
     """Name of the state variable that is the protocol's field: a number or a vector a cell."""
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, final
+from collections.abc import Iterable
+from typing import Annotated, Any, Final, final
 
 import numpy as np
 from pydantic import Field
 
 from bus.lattice import STEPS, Lattice
+from cell_firmware.array_view import ArrayView
 from cell_firmware.errors import ParametersError
 from cell_firmware.firmware import Bools, Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import Theory
@@ -58,6 +60,18 @@ class HopGradient(Firmware):
         problems = region_problems(lattice, {"goals": self.parameters.goals})
         if problems:
             raise ParametersError("hop_gradient", problems)
+
+    def eventually(self, view: ArrayView) -> Iterable[tuple[str, Any, int]]:
+        """Yield the fixed point: each distance is one more than the least of the running neighbours."""
+        limit, ttl_periods = self.parameters.limit, self.parameters.ttl_periods
+        distance = view["distance"].astype(np.int64)
+        around = np.where(view.neighbours >= 0, distance[view.neighbours], limit)
+        wanted = np.where(view["goal"], 0, np.minimum(around.min(axis=1) + 1, limit))
+        yield (
+            "a distance is one more than the least around",
+            distance == wanted,
+            limit + ttl_periods + len(view),
+        )
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:
         """Warn of cells too far away for ``limit``, which never find a way to a goal."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -169,19 +170,26 @@ def check(
       [cyan]mdms check tree.py --world 4x6 --faults 5 --depth 40 --sample 1000[/cyan]
       [cyan]mdms run counterexample.toml --check[/cyan]
     """
-    from deploy.studies.adversary.check import check_by_sampling, check_exhaustively, world_scene
+    from deploy.studies.adversary.check import (
+        check_by_sampling,
+        check_exhaustively,
+        counters_near_wraps,
+        world_scene,
+    )
 
     notify = silent if quiet else say
     adversary = _adversary(faults, depth, kinds, delay, outage, at_most)
     covered = [_cell(text) for text in cover or ()]
     rows: list[dict[str, Any]] = []
     counterexample: Counterexample | None = None
-    for text in world or ("1x2", "2x2"):
+    begun, wraps = _table(begin, "--begin"), counters_near_wraps(protocol)
+    starts = [begun, *([{**wraps, **begun}] if wraps.keys() - begun.keys() else [])]
+    for text, registers in product(world or ("1x2", "2x2"), starts):
         scene = world_scene(
             protocol,
             _size(text),
             parameters=_table(sets, "--set"),
-            initial_registers=_table(begin, "--begin"),
+            initial_registers=registers,
             seed=seed,
         )
         _check_covered(covered, scene, text)
@@ -191,9 +199,9 @@ def check(
             result, counterexample = check_exhaustively(
                 scene, adversary, covered, symmetric=symmetry, most_states=states, limit_s=limit
             )
-        rows.append({"world": text, **result.as_json()})
+        rows.append({"world": text, "begin": registers, **result.as_json()})
         if not as_json:
-            print(coverage(text, adversary, result))
+            print(coverage(_named(text, registers), adversary, result))
         if counterexample is not None:
             break
     if counterexample is not None:
@@ -226,6 +234,11 @@ def coverage(world: str, adversary: Adversary, result: SearchResult | SampleResu
             "followed"
         )
     return f"{what}; {powers}: no violation, nothing cut off"
+
+
+def _named(world: str, registers: dict[str, Any]) -> str:
+    begins = ", ".join(f"{name}={value}" for name, value in registers.items())
+    return f"{world} from {begins}" if begins else world
 
 
 def _finish(rows: list[dict[str, Any]], counterexample: Counterexample | None, *, as_json: bool) -> None:

@@ -23,6 +23,7 @@ from cell_firmware.faults.base import CellFault
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.shard import FAULTS, BoundaryMessages, Shard, ShardOutputs
 from cell_firmware.specs import CellsSpec
+from mdms import Lab
 
 SPEC = CellsSpec()
 PITCH_M = 0.1
@@ -197,15 +198,20 @@ def watch() -> Callable[..., NDArray[Any]]:
         seed: int = 0,
     ) -> NDArray[Any]:
         assert firmware.observable is not None
-        steps = Lockstep(firmware, Partition.even(lattice, 1), None, effects, seed)
-        seen: list[NDArray[Any]] = []
-        for k in range(ticks):
-            steps.retire((dead or {}).get(k, ()))
-            steps.step(None if presence is None else presence[k])
-            cells, registers = steps.shards[0].registers()
-            values = registers[f"firmware.{firmware.observable}"]
-            seen.append(np.zeros((len(lattice), *values.shape[1:]), values.dtype))
-            seen[-1][lattice.find(cells[:, 0], cells[:, 1])] = values
-        return np.array(seen)
+        program = firmware.author
+        lab = Lab(
+            type(program),
+            lattice,
+            parameters=program.parameters.model_dump(mode="json", exclude_unset=True),
+            presence=None if presence is None else lambda lab: presence[lab.tick],
+            faults=[
+                {"kind": "crash", "at_tick": tick, "cells": [list(cell) for cell in cells]}
+                for tick, cells in (dead or {}).items()
+            ],
+            effects=None if effects is None else effects.model_dump(mode="json", exclude_unset=True),
+            seed=seed,
+            check=None,
+        )
+        return lab.record(firmware.observable, ticks)
 
     return go

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from cell_firmware.firmware import Cells
 from cell_firmware.invariants import declares_invariants
-from cell_firmware.loader import load
+from cell_firmware.loader import find, load
 from deploy.errors import DeployError, InputError
 from deploy.lab.faults import Table, in_seconds, write_scene
 from deploy.lab.lab import Lab
@@ -85,6 +85,18 @@ def world_scene(
             "nor eventually(view)"
         )
     return lab.scene
+
+
+def counters_near_wraps(firmware: str) -> dict[str, int]:
+    """Return the program's counters with values two short of their wraps; none for programs that declare none.
+
+    Args:
+        firmware: As in a scene.
+
+    Raises:
+        FirmwareError: There is no such program.
+    """
+    return {name: wrap - 2 for name, wrap in find(firmware).counters.items()}
 
 
 def world_of(scene: Scene, adversary: Adversary, covered: Sequence[tuple[int, int]] = ()) -> World:

@@ -32,6 +32,7 @@ class SerialWords(CellFirmware):
     """
 
     message = np.dtype([("version", "<u2"), ("value", "u1")])
+    counters: ClassVar = {"version": 1 << 16}
 
     @staticmethod
     def newer(version: int, than: int) -> bool:
