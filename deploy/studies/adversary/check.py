@@ -18,7 +18,7 @@ from deploy.scenes.files import load_scene
 from deploy.studies.adversary.sample import SampleResult, sample
 from deploy.studies.adversary.search import SearchResult, search
 from deploy.studies.adversary.spec import Adversary, Schedule, tables_of
-from deploy.studies.adversary.world import World
+from deploy.studies.adversary.world import Environment, World
 from plant.array import CellArray
 
 if TYPE_CHECKING:
@@ -99,13 +99,19 @@ def counters_near_wraps(firmware: str) -> dict[str, int]:
     return {name: wrap - 2 for name, wrap in find(firmware).counters.items()}
 
 
-def world_of(scene: Scene, adversary: Adversary, covered: Sequence[tuple[int, int]] = ()) -> World:
+def world_of(
+    scene: Scene,
+    adversary: Adversary,
+    covered: Sequence[tuple[int, int]] = (),
+    environment: Environment | None = None,
+) -> World:
     """Return the world of a scene's cells.
 
     Args:
         scene: The scene; its faults, effects and parcels are not used.
         adversary: What may happen.
         covered: Cells that are covered in all ticks.
+        environment: What covers cells from tick to tick instead; None without one.
     """
     array = CellArray(scene.array)
     lattice = array.lattice
@@ -113,7 +119,7 @@ def world_of(scene: Scene, adversary: Adversary, covered: Sequence[tuple[int, in
         lattice, array.positions_m, scene.cells.period_s, scene.array.sensors_m, pitch_m=array.pitch_m
     )
     indices = [lattice.index(cell) for cell in covered]
-    return World(load(scene.cells), scene.cells.firmware, cells, lattice, adversary, indices)
+    return World(load(scene.cells), scene.cells.firmware, cells, lattice, adversary, indices, environment)
 
 
 def check_exhaustively(

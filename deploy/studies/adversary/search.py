@@ -74,12 +74,13 @@ def search(
     Args:
         world: The world.
         covered: Cells that are covered, by index.
-        symmetric: Whether symmetric states are merged, as far as the program is symmetric.
+        symmetric: Whether symmetric states are merged, as far as the program is symmetric; never with an environment.
         most_states: Most states.
         limit_s: Most wall time, s.
         poll: Called many times; may raise.
     """
     begun = time.monotonic()
+    symmetric = symmetric and world.environment is None
     symmetries = symmetries_of(world.lattice, world.transitions, covered) if symmetric else []
     while True:
         one = _Search(world, symmetries, most_states, begun + limit_s, poll)
@@ -116,11 +117,16 @@ class _Search:
         frontier, tick = [start], 0
         found: tuple[Node, tuple[Act, ...], Violation] | None = None
         slow = max(*world.adversary.outages, *world.adversary.delays, 1)
-        while frontier and (tick < depth or (world.eventual and tick <= depth + slow + world.longest)):
+        while frontier and (
+            tick < depth + world.adversary.tail_ticks
+            or (world.eventual and tick <= depth + slow + world.longest)
+        ):
             after: list[Node] = []
             first = 0
             for first in range(0, len(frontier), _BATCH):
-                drafts = self._drafts(frontier[first : first + _BATCH], faults=tick < depth)
+                drafts = self._drafts(
+                    frontier[first : first + _BATCH], faults=world.adversary.first_tick <= tick < depth
+                )
                 if not self._prepare(drafts):
                     return None
                 found = self._finish(drafts, tick, after) or found

@@ -40,11 +40,13 @@ class Adversary:
 
     Attributes:
         faults: Most faults in all.
-        depth: Ticks in which faults may begin: 0 to ``depth - 1``.
+        depth: Tick before which faults begin.
         kinds: Kinds of faults.
         delays: Delays of a message, ticks.
         outages: Lengths of an outage of one direction of a link, ticks.
         at_most: Most faults of a kind, where fewer than ``faults``.
+        first_tick: First tick in which faults begin.
+        tail_ticks: Ticks that are followed after ``depth`` in any case.
     """
 
     faults: int = 1
@@ -53,9 +55,11 @@ class Adversary:
     delays: tuple[int, ...] = (1,)
     outages: tuple[int, ...] = (4,)
     at_most: Mapping[str, int] = field(default_factory=dict[str, int])
+    first_tick: int = 0
+    tail_ticks: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("faults", 0), ("depth", 1)):
+        for name, least in (("faults", 0), ("depth", 1), ("first_tick", 0), ("tail_ticks", 0)):
             if getattr(self, name) < least:
                 raise InputError(f"{name} {getattr(self, name)}: must be at least {least}")
         for kind in (*self.kinds, *self.at_most):

@@ -30,11 +30,13 @@ class Step(NamedTuple):
         state: Number of the next state.
         sent: Numbers of the messages to the four sides.
         failure: Problem of a program that failed; empty otherwise.
+        speed_m_s: Surface speed along x and y, m/s.
     """
 
     state: int
     sent: tuple[int, int, int, int]
     failure: str
+    speed_m_s: tuple[float, float]
 
 
 @final
@@ -138,9 +140,12 @@ class Transitions:
         state, outputs = self._compute(rows, self.state([key[1] for key in keys]), presence, inbox)
         after = self.numbers(state)
         sent = self._sent(outputs.outbox, rows)
+        speeds = outputs.drive.tolist()
         for i, key in enumerate(keys):
             failure = outputs.failures.get(i)
-            self._memo[key] = Step(after[i], sent[i], "" if failure is None else failure.problem)
+            self._memo[key] = Step(
+                after[i], sent[i], "" if failure is None else failure.problem, tuple(speeds[i])
+            )
 
     def _compute(
         self, rows: NDArray[np.int64], state: State, presence: NDArray[np.bool_], inbox: Inbox | None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Final, NamedTuple, final
+from collections.abc import Hashable, Iterable, Sequence
+from typing import Any, Final, NamedTuple, Protocol, final
 
 import numpy as np
 
@@ -19,6 +19,25 @@ DEAD: Final = -1
 """State of a cell that is dead."""
 
 
+class Environment(Protocol):
+    """Surroundings of the cells, which cover them and are moved by their wheels: parcels without a plant.
+
+    States are values that can be compared and hashed.
+    """
+
+    def start(self) -> Hashable:
+        """Return the state before tick 0."""
+        ...
+
+    def covered(self, state: Any) -> Sequence[bool]:
+        """Return whether each cell is covered."""
+        ...
+
+    def after(self, state: Any, speeds_m_s: Sequence[tuple[float, float] | None]) -> Hashable:
+        """Return the state after a tick in which the cells drive at these speeds; None for dead cells."""
+        ...
+
+
 class Node(NamedTuple):
     """State of a world before a tick.
 
@@ -30,6 +49,7 @@ class Node(NamedTuple):
         unrest: Ticks from this one on that count as disturbed.
         waiting: Eventual conditions that are false: rule, and for how many ticks; sorted.
         spent: Number of faults by kind so far.
+        around: State of the environment; None without one.
     """
 
     states: tuple[int, ...]
@@ -39,6 +59,7 @@ class Node(NamedTuple):
     unrest: int = 0
     waiting: tuple[tuple[str, int], ...] = ()
     spent: tuple[int, ...] = ()
+    around: Any = None
 
 
 class Draft(NamedTuple):
@@ -76,8 +97,10 @@ class World:
         lattice: Their lattice.
         adversary: What may happen.
         covered: Cells that are covered in all ticks, by index.
+        environment: What covers cells from tick to tick, in place of ``covered``; None without one.
 
     Attributes:
+        environment: As given.
         lattice: As given.
         adversary: As given.
         transitions: Transitions of single cells so far.
@@ -94,7 +117,9 @@ class World:
         lattice: Lattice,
         adversary: Adversary,
         covered: Iterable[int] = (),
+        environment: Environment | None = None,
     ) -> None:
+        self.environment = environment
         self.lattice = lattice
         self.adversary = adversary
         self.transitions = Transitions(program, cells, cells.sensors)
@@ -120,7 +145,8 @@ class World:
     def start(self) -> Node:
         """Return the state before tick 0."""
         nothing = (NO_MESSAGE,) * (4 * len(self.lattice))
-        return Node(self.transitions.initial, nothing, spent=(0,) * len(self.adversary.kinds))
+        around = None if self.environment is None else self.environment.start()
+        return Node(self.transitions.initial, nothing, spent=(0,) * len(self.adversary.kinds), around=around)
 
     # --- faults ------------------------------------------------------------------------------------
 
@@ -180,13 +206,16 @@ class World:
                 down[act.place] = act.ticks
         for link in down:
             heard[link] = NO_MESSAGE
+        covered: Sequence[int] = self._covered
+        if self.environment is not None:
+            covered = [int(one) for one in self.environment.covered(node.around)]
         keys: list[Key | None] = []
         for i, state in enumerate(states):
             if state == DEAD:
                 keys.append(None)
                 continue
             inbox = (NO_MESSAGE,) * 4 if i in deaf else heard[4 * i : 4 * i + 4]
-            keys.append((i, state, self._covered[i], *inbox))  # pyright: ignore[reportArgumentType]
+            keys.append((i, state, covered[i], *inbox))  # pyright: ignore[reportArgumentType]
         return Draft(
             node,
             acts,
@@ -223,7 +252,11 @@ class World:
                 if message and draft.states[link // 4] != DEAD:
                     arriving[link] = message
         spent = self.adversary.add(draft.before.spent, draft.acts)
-        node = Node(tuple(states), tuple(arriving), draft.late, draft.down, 0, (), spent)
+        around = None
+        if self.environment is not None:
+            speeds = [None if key is None else steps[key].speed_m_s for key in draft.keys]
+            around = self.environment.after(draft.before.around, speeds)
+        node = Node(tuple(states), tuple(arriving), draft.late, draft.down, 0, (), spent, around)
         if failures:
             return node, failures
         broken, awaited = self._evaluated(node.states, tick)

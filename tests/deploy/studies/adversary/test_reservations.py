@@ -1,0 +1,77 @@
+"""``reserve_path`` under one fault anywhere in one reservation: two tiles, one parcel without physics, no plant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.lab.lab import Lab
+from deploy.studies.adversary.check import world_of
+from deploy.studies.adversary.search import SearchResult, search
+from deploy.studies.adversary.spec import Adversary, Kind
+from deploy.studies.adversary.world import World
+from tests.deploy.studies.adversary.tile_parcel import (
+    PERIOD_S,
+    SIDE,
+    OneParcel,
+    ParcelOverTiles,
+    TwoAtOnce,
+    parameters,
+)
+
+RESERVATION = (18, 74)
+"""Ticks from the first decision about the parcel to the end of the reservation, in the run without faults."""
+
+
+def _lab(firmware: type, **options: Any) -> Lab:
+    return Lab(firmware, (SIDE, 2 * SIDE), parameters=parameters(2), period_s=PERIOD_S, check=None, **options)
+
+
+def _world(firmware: type, adversary: Adversary) -> World:
+    lab = _lab(firmware)
+    return world_of(lab.scene, adversary, environment=ParcelOverTiles(lab.lattice))
+
+
+def _searched(firmware: type, *kinds: Kind) -> SearchResult:
+    first, end = RESERVATION
+    adversary = Adversary(1, end, kinds, delays=(2,), first_tick=first, tail_ticks=20)
+    return search(_world(firmware, adversary), limit_s=90.0)
+
+
+def test_the_parcel_crosses_and_a_lab_under_its_presence_bits_has_the_same_registers() -> None:
+    world = _world(OneParcel, Adversary(0))
+    assert world.environment is not None
+    node, covered, words = world.start(), list[Any](), list[Any]()
+    while node.around is not None:
+        covered.append(np.array(world.environment.covered(node.around)))
+        node, broken = world.step(node, (), len(words))
+        words.append(world.transitions.registers(node.states)["firmware.own"])
+        assert not broken
+    assert RESERVATION[1] < len(words) < 100
+    lab = _lab(OneParcel, presence=lambda lab: covered[lab.tick])
+    assert np.array_equal(lab.record("own", len(words)), np.array(words))
+
+
+@pytest.mark.slow
+def test_with_one_message_lost_or_late_anywhere_no_parcel_is_in_two_reservations() -> None:
+    result = _searched(OneParcel, "loss", "delay")
+    assert (result.violation, result.unexplored, result.ticks) == (None, 0, RESERVATION[1])
+    assert result.states > 10_000
+
+
+def test_a_tile_that_takes_a_parcel_too_early_is_found() -> None:
+    result = _searched(TwoAtOnce, "loss")
+    assert result.violation is not None
+    assert result.violation.rule == "a parcel is in one reservation at most"
+
+
+@pytest.mark.slow
+def test_a_leader_that_dies_while_its_tile_passes_the_parcel_on_leaves_two_claims() -> None:
+    """A limitation of ``reserve_path``: the heir resumes the last word after the other tile has taken over."""
+    result = _searched(OneParcel, "death")
+    assert result.violation is not None
+    assert result.schedule is not None
+    ((tick, act),) = result.schedule
+    assert (tick, act.kind, act.place) == (26, "death", 7)
