@@ -271,3 +271,19 @@ def test_a_lab_shows_itself_in_a_notebook() -> None:
     lab = Lab(Gossip).step(3)
     assert repr(lab) == "<Lab of tests.deploy.lab.programs:Gossip, 9 cells, before tick 3>"
     assert "covered, most, periods" in lab._repr_html_()
+
+
+def test_records_of_a_program_file_are_saved(tmp_path: Path) -> None:
+    (tmp_path / "counter.py").write_text(
+        "from typing import NamedTuple\n"
+        "from mdms import CellFirmware, CellOutputs\n"
+        "class Count(NamedTuple):\n"
+        "    ticks: int = 0\n"
+        "class Counter(CellFirmware):\n"
+        "    def init(self, cell): return Count()\n"
+        "    def step(self, state, inputs): return Count(state.ticks + 1), CellOutputs((0.0, 0.0))\n"
+    )
+    lab = Lab(str(tmp_path / "counter.py"), (1, 2)).step(3)
+    saved = lab.save()
+    lab.step(2)
+    assert lab.restore(saved).registers["ticks"].tolist() == [3, 3]
