@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
@@ -12,8 +12,8 @@ from deploy.studies.adversary.spec import Act, Schedule
 from deploy.studies.adversary.symmetry import Symmetry, is_group, symmetries_of
 from deploy.studies.adversary.world import Draft, Node, World
 
-_BATCH: Final = 4_096
-"""States whose missing transitions are computed in one call."""
+_BATCH: Final = 8_192
+"""Ticks of the world whose missing transitions are computed in one call."""
 
 
 @final
@@ -122,33 +122,37 @@ class _Search:
             or (world.eventual and tick <= depth + slow + world.longest)
         ):
             after: list[Node] = []
-            first = 0
-            for first in range(0, len(frontier), _BATCH):
-                drafts = self._drafts(
-                    frontier[first : first + _BATCH], faults=world.adversary.first_tick <= tick < depth
-                )
+            left = len(frontier)
+            for drafts, nodes in self._batches(frontier, faults=world.adversary.first_tick <= tick < depth):
+                left -= nodes
                 if not self._prepare(drafts):
                     return None
                 found = self._finish(drafts, tick, after) or found
                 if self._over():
                     break
             if found is not None or self._limit:
-                left = 0 if found is not None else len(frontier) - first + len(after)
-                return self._result(tick + 1, left, found)
+                return self._result(tick + 1, 0 if found is not None else left + len(after), found)
             frontier, tick = after, tick + 1
         return self._result(tick, 0, None)
 
-    def _drafts(self, nodes: Iterable[Node], *, faults: bool) -> list[Draft]:
+    def _batches(self, nodes: Iterable[Node], *, faults: bool) -> Iterator[tuple[list[Draft], int]]:
+        """Yield the next ticks of states, a bounded number at a time, and how many states they complete."""
         world = self._world
         drafts: list[Draft] = []
+        done = 0
         for node in nodes:
             choices: Iterable[tuple[Act, ...]] = ((),)
             if faults:
                 left = world.adversary.left(node.spent)
                 if max(left, default=0) > 0:
                     choices = world.adversary.combinations(world.possible(node), node.spent)
-            drafts += [world.begin(node, acts) for acts in choices]
-        return drafts
+            for acts in choices:
+                drafts.append(world.begin(node, acts))
+                if len(drafts) == _BATCH:
+                    yield drafts, done
+                    drafts, done = [], 0
+            done += 1
+        yield drafts, done
 
     def _prepare(self, drafts: list[Draft]) -> bool:
         """Compute missing transitions; False if a symmetry does not hold for one of them."""
