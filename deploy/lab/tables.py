@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
 import numpy as np
@@ -110,6 +110,18 @@ class Registers(_Table):
             values = given[alive] if each else np.broadcast_to(given, (len(alive), *given.shape))
         shard.program_state = replaced(shard.program_state, name, rows, values)
 
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __repr__(self) -> str:
+        return f"<Registers of {len(self._lattice)} cells: {', '.join(self.names)}>"
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all registers, those of the program without the prefix ``firmware.``."""
@@ -117,7 +129,7 @@ class Registers(_Table):
 
     def _array(self, name: str) -> NDArray[Any]:
         cells, registers = self._shard().registers()
-        array = registers.get(PROGRAM + name)
+        array = registers.get(f"{PROGRAM}{name}")
         array = registers.get(name) if array is None else array
         if array is None:
             raise InputError(

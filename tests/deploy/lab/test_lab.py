@@ -287,3 +287,13 @@ def test_records_of_a_program_file_are_saved(tmp_path: Path) -> None:
     saved = lab.save()
     lab.step(2)
     assert lab.restore(saved).registers["ticks"].tolist() == [3, 3]
+
+
+def test_registers_are_listed() -> None:
+    lab = Lab("heat_diffusion", (2, 2))
+    assert "speed_m_s" in lab.registers
+    assert list(lab.registers) == list(lab.registers.names)
+    assert len(lab.registers) == len(lab.registers.names)
+    assert "speed_m_s" in repr(lab.registers)
+    with pytest.raises(InputError, match="register 0: the cells have no such register; they have counts"):
+        lab.registers[0]  # pyright: ignore[reportArgumentType]
