@@ -175,20 +175,19 @@ def locate(
     parcel.par[layout.TOLERANCE] = spec.tolerance
     parcel.par[layout.CAPTURE] = spec.capture_m
     parcel.par[layout.LIMIT] = math.inf
-    if effects.wheel_load is not None:
-        return
     # loads by the pose, and jumping where a cell comes or goes: what chatter and the kernels of ``exact`` take
     linear = effects.load_transfer is None and effects.contact_width is None
     if traction.set_valued:
+        parcel.par[layout.FREE_SPEED] = traction.free_speed
+        law[implicit_layout.LOCATED] = implicit_layout.CONES
         if not traction.isotropic:
             # no slip is within the limit: each wheel sticks, or slips one way
             parcel.par[[layout.LIMIT, layout.LIMIT_PER_SHARE]] = 0.0
-            parcel.par[layout.FREE_SPEED] = traction.free_speed
-            law[implicit_layout.LOCATED] = 1.0
+            law[implicit_layout.LOCATED] = implicit_layout.JUMPS
         if linear:
             law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
         return
-    if not linear:
+    if not linear or effects.wheel_load is not None:
         return
     set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
     # what the kernels of ``exact`` don't know of: where wheels change branch, and the motion along a surface

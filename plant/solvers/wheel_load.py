@@ -23,6 +23,11 @@ class WheelLoadWorkspace(NamedTuple):
         now: ``(n, SLOWED)``: see ``plant.kernels.common.implicit_layout``.
         begin: as ``now``, at the start of the step.
         table: ``(4, n, SLOWED)`` after the step in 1 to 4 parts.
+        begun: ``(n, 2)`` rates of change at the start of the step.
+        ended: as ``begun``, at the accelerations solved last.
+        rates: as ``begun``, at the step's event.
+        series: ``(n, 2, DEGREE)`` over the step, in unit time; see ``plant.kernels.implicit.dense``.
+        travel: ``(DEGREE + 1,)`` scratch for a series.
         row: row of each of ``ImplicitWorkspace.wheels``, ``(capacity,)``.
         ctl: number of rows in use, and of rows handed over, ``(2,)``.
         which: cells handed over, parcel after parcel, ``(2 n,)``.
@@ -34,6 +39,11 @@ class WheelLoadWorkspace(NamedTuple):
     now: Floats
     begin: Floats
     table: Floats
+    begun: Floats
+    ended: Floats
+    rates: Floats
+    series: Floats
+    travel: Floats
     row: NDArray[np.int64]
     ctl: NDArray[np.int64]
     which: NDArray[np.int64]
@@ -53,6 +63,11 @@ def make_slowing(cells: int, capacity: int) -> WheelLoadWorkspace:
         now=np.zeros((cells, columns)),
         begin=np.zeros((cells, columns)),
         table=np.zeros((4, cells, columns)),
+        begun=np.zeros((cells, 2)),
+        ended=np.zeros((cells, 2)),
+        rates=np.zeros((cells, 2)),
+        series=np.zeros((cells, 2, 5)),
+        travel=np.zeros(6),
         row=np.zeros(capacity, dtype=np.int64),
         ctl=np.zeros(2, dtype=np.int64),
         which=np.zeros(2 * cells, dtype=np.int64),

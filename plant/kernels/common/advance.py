@@ -9,6 +9,7 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.branches import branch_changes, underside
 from plant.kernels.common.capture import groups_hold, join_last, try_capture
 from plant.kernels.common.changes import apply, log
+from plant.kernels.common.cone_hooks import cone_changes
 from plant.kernels.common.events import bend, entering, leaving
 from plant.kernels.common.footprint import fill, may_go_on
 from plant.kernels.common.load_events import loading
@@ -125,6 +126,7 @@ def search(surface, parcel, work, order, step):
         underside(ser, order, step)
     if limited:
         count, end = branch_changes(surface, parcel, work, order, end, count)
+    count, end = cone_changes(work, surface, parcel, order, step, end, count)
     if along:
         count, end = outrunning(surface, parcel, work, order, end, count)
     earliest = 1.0

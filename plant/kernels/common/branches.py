@@ -15,6 +15,7 @@ from __future__ import annotations
 from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.events import crossing, note
+from plant.kernels.common.lag_hooks import add_lag, lag_sway, with_lag_begun
 from plant.kernels.common.roots import NONE
 from plant.kernels.common.series import product
 from plant.kernels.common.springs import LOAD_ZERO, gap, plane_at, stiffness
@@ -155,6 +156,7 @@ def change(surface, parcel, seg, work, order, o, i, axis, branch, zero, end):
     par, y, ser, g, slip, cell = parcel.par, parcel.y, work.ser, work.g, work.q, parcel.mem[i, at.CELL]
     rx, ry = surface.pos[cell, 0] - y[0] - seg[at.CX], surface.pos[cell, 1] - y[1] - seg[at.CY]
     slip_polynomial(surface, y, par[at.FREE_SPEED], ser, order, cell, axis, slip)
+    add_lag(work, cell, axis, order, slip)
     share = par[at.LIMIT_PER_SHARE] if branch == 0 else -par[at.LIMIT_PER_SHARE]
     share *= stiffness(surface, cell, i)
     rest = par[at.LIMIT] if branch == 0 else -par[at.LIMIT]
@@ -190,12 +192,13 @@ def changes_in_mode(surface, parcel, work, order, m, end):
             if branch == 0 and jumps(par):
                 continue
             slip, limit, zero = grip_now(surface, parcel, seg, a0, bx, by, ser[at.S_EXP, 0], i, axis)
+            slip = with_lag_begun(work, cell, axis, slip)
             if jumps(par):
                 zero = leeway(par, slip, zero, branch)
             room = limit - abs(slip) if branch == 0 else branch * slip - limit
             reach = along + par[at.LIMIT_PER_SHARE] * stiffness(surface, cell, i) * load
             reach += abs(lever(surface, parcel.y, cell, axis)) * turn
-            reach += abs(surface.decay[cell, axis]) * fade
+            reach += abs(surface.decay[cell, axis]) * fade + lag_sway(work, cell, axis)
             if room > reach * end * 1.000001:
                 continue
             t = change(surface, parcel, seg, work, order, o, i, axis, branch, zero, end)

@@ -19,10 +19,13 @@ SET_VALUED: Final = 6  # 1 where the stiffness is infinite
 ISOTROPIC: Final = 7  # 1 where both axes of a cell share one limit
 VISCOUS: Final = 8  # 1/s, by slip, beside the limited part and without a limit
 WHEEL: Final = 9  # inertia of a wheel over the parcel's mass, where wheels feel what they pull
-LOCATED: Final = 10  # 1 where each wheel's branch of the law is held over a step, and its changes are located
+LOCATED: Final = 10  # how wheels change branch where that is located, or 0 where it isn't
 CAPTURES: Final = 11  # how chatter is replaced by motion along its surface, or 0 where it isn't
 STATIC_RATIO: Final = 12  # limit of a wheel that sticks over that of one that slips
 LAW_SIZE: Final = 13
+KINKS: Final = 1.0  # each wheel by itself, and its force is continuous
+JUMPS: Final = 2.0  # each wheel by itself, and its force jumps where its slip turns round
+CONES: Final = 3.0  # the wheels of a cell together: the size of their force jumps where their slip ends
 BY_SERIES: Final = 1.0  # that motion is the exact solver's Taylor series
 BY_STEPS: Final = 2.0  # it is stepped as other motion is
 
@@ -41,19 +44,26 @@ PACE_SIZE: Final = 10
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
 AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED, SIDE_X, SIDE_Y, CELL = range(17)
+SLIPS, WAS_X, WAS_Y, OWN_X, OWN_Y = range(17, 22)
 """Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b`` and ``c`` along each axis, equal
 where both axes share one limit; multipliers L. Forces without a limit are ``G - K v``: the law's push and viscous part,
 and other resistance to the underside's motion. ``SUMMED`` is the size of the terms that the free speeds are sums of:
 they may cancel, their rounding does not. ``SIDE_X`` and ``SIDE_Y`` are 1 or -1 where the wheel sticks
-as the step begins and slips that way at its end, else 0. ``CELL`` is which cell it is."""
-WHEEL_SIZE: Final = 17
+as the step begins and slips that way at its end, else 0. ``CELL`` is which cell it is. ``SLIPS`` is 1 where both wheels
+of a cell slip, which share one limit; ``WAS_X`` and ``WAS_Y`` are then their slip as the part begins. ``OWN_X`` and
+``OWN_Y``: the part of G by which the wheel itself is pulled back."""
+WHEEL_SIZE: Final = 22
 
 # ── first: float64 findings about a step: the change of velocity in its first part, then
 REGIME: Final = 3  # which wheels are at their limits there
 SLIPPED: Final = 4  # the largest slip in the step of a wheel that sticks where it begins, m/s
 OUTSIDE: Final = 5  # how far a captured group's fraction leaves [0, 1] in it, at most
 ERROR: Final = 6  # that of the step extrapolated last, m
-FIRST_SIZE: Final = 7
+CEASED: Final = (
+    7  # parts of it, cut most finely, by whose end a cell's slip had ended; more than there are if none had
+)
+TURNED: Final = 8  # 1 where the slip of a cell turned in one of them so far that it may have ended within
+FIRST_SIZE: Final = 9
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

@@ -21,23 +21,33 @@ from math import exp, expm1
 from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
+from plant.kernels.common.advance import slope
 from plant.kernels.common.hooks import implements
+from plant.kernels.common.lag_hooks import add_lag, lag_sway, with_lag, with_lag_begun, with_lag_rate
+from plant.kernels.implicit.dense import DEGREE, hermite
 from plant.kernels.implicit.hooks import (
+    begin_lags,
     begun,
+    carry_lags,
+    expand_lags,
     extrapolate,
     full,
     hand_over,
     keep,
     lighten,
     lightness,
+    note_lag_slopes,
+    note_lags,
+    own_rates,
     recoil,
+    slip_left,
     slow,
     speed,
     tabulate,
     take_back,
     unloaded,
 )
-from plant.kernels.implicit.step import pull
+from plant.kernels.implicit.step import pull, unclamped
 
 SERIES = 1e-2
 """Below this many time constants a step's lag is summed as a series: its closed form cancels."""
@@ -66,6 +76,7 @@ def enlist(slowing, cell):
     slowing.place[cell], slowing.cell[k] = k, cell
     for c in range(im.SLOWED):
         slowing.now[k, c] = slowing.begin[k, c] = 0.0
+        slowing.begun[k, c % 2] = slowing.ended[k, c % 2] = slowing.rates[k, c % 2] = 0.0
         for parts in range(slowing.table.shape[0]):
             slowing.table[parts, k, c] = 0.0
     return k
@@ -115,7 +126,115 @@ def _lighten(work, parcel, row, cell, push_x, push_y, h):
     wheel[im.CX] /= softer
     wheel[im.CY] /= softer
     wheel[im.K] /= softer
-    wheel[im.GX], wheel[im.GY] = within(wheel[im.SX] / rho, push_x), within(wheel[im.SY] / rho, push_y)
+    # what a wheel that slips is held to pull with
+    wheel[im.GX] /= softer
+    wheel[im.GY] /= softer
+    wheel[im.SUMMED] += left * (abs(slowing.now[k, 0]) + abs(slowing.now[k, 1]))
+    if work.law[im.PUSH_PER_SHARE] != 0.0:
+        wheel[im.GX], wheel[im.GY] = within(wheel[im.SX] / rho, push_x), within(wheel[im.SY] / rho, push_y)
+
+
+@implements(slip_left, "slowing", own=True)
+def _slip_left(work, row, w, axis):
+    # what exceeds a limit slips
+    qx, qy = unclamped(row, w)
+    fx, fy, _, _, _ = pull(row, w, work.law[im.ISOTROPIC])
+    return (qx - fx) / row[im.BX] if axis == 0 else (qy - fy) / row[im.BY]
+
+
+@implements(own_rates, "slowing", own=True)
+def _own_rates(work, parcel, row, wheel):
+    k, rate, inertia = work.slowing.row[row], parcel.par[at.RATE], work.law[im.WHEEL]
+    for axis in range(2):
+        lag = rate * work.slowing.now[k, axis]
+        wheel[im.SX + axis] -= lag + wheel[im.OWN_X + axis] / inertia
+        wheel[im.BX + axis] = inertia
+        wheel[im.SUMMED] += abs(lag) + abs(wheel[im.OWN_X + axis]) / inertia
+
+
+@implements(note_lags, "slowing", own=True)
+def _note_lags(work, parcel, rows):
+    slowing, rate, inertia = work.slowing, parcel.par[at.RATE], work.law[im.WHEEL]
+    for k in range(slowing.ctl[im.LISTED]):
+        for axis in range(2):
+            slowing.ended[k, axis] = -rate * slowing.now[k, axis]
+    for i in range(rows):
+        wheel, k = work.wheels[i], slowing.row[i]
+        fx, fy, _, _, _ = pull(wheel, work.velocity, work.law[im.ISOTROPIC])
+        slowing.ended[k, 0] -= (fx + wheel[im.OWN_X]) / inertia
+        slowing.ended[k, 1] -= (fy + wheel[im.OWN_Y]) / inertia
+
+
+@implements(begin_lags, "slowing", own=True)
+def _begin_lags(work):
+    slowing = work.slowing
+    for k in range(slowing.ctl[im.LISTED]):
+        for axis in range(2):
+            slowing.begun[k, axis] = slowing.rates[k, axis] = slowing.ended[k, axis]
+
+
+@implements(expand_lags, "slowing", own=True)
+def _expand_lags(work, h):
+    slowing = work.slowing
+    begin, now = slowing.begin, slowing.now
+    for k in range(slowing.ctl[im.LISTED]):
+        for axis in range(2):
+            ends = begin[k, 2 + axis], begin[k, axis], now[k, 2 + axis], now[k, axis]
+            rates = slowing.begun[k, axis], slowing.ended[k, axis]
+            hermite(slowing.travel, slowing.series[k, axis], ends, rates, h)
+
+
+@implements(note_lag_slopes, "slowing", own=True)
+def _note_lag_slopes(work, first, h):
+    slowing = work.slowing
+    for k in range(slowing.ctl[im.LISTED]):
+        for axis in range(2):
+            slowing.rates[k, axis] = slope(slowing.series[k, axis], DEGREE - 1, first) / h
+
+
+@implements(carry_lags, "slowing", own=True)
+def _carry_lags(work, dt):
+    slowing = work.slowing
+    now, rates = slowing.now, slowing.rates
+    for k in range(slowing.ctl[im.LISTED]):
+        for axis in range(2):
+            now[k, 2 + axis] += dt * (now[k, axis] + 0.5 * dt * rates[k, axis])
+            now[k, axis] += dt * rates[k, axis]
+
+
+@implements(with_lag, "slowing", own=True)
+def _with_lag(work, cell, axis, speed):
+    k = work.slowing.place[cell]
+    return speed if k < 0 else speed + work.slowing.now[k, axis]
+
+
+@implements(with_lag_begun, "slowing", own=True)
+def _with_lag_begun(work, cell, axis, speed):
+    k = work.slowing.place[cell]
+    return speed if k < 0 else speed + work.slowing.begin[k, axis]
+
+
+@implements(with_lag_rate, "slowing", own=True)
+def _with_lag_rate(work, cell, axis, rate):
+    k = work.slowing.place[cell]
+    return rate if k < 0 else rate + work.slowing.rates[k, axis]
+
+
+@implements(add_lag, "slowing", own=True)
+def _add_lag(work, cell, axis, order, g):
+    k = work.slowing.place[cell]
+    if k >= 0:
+        for j in range(min(order + 1, DEGREE)):
+            g[j] += work.slowing.series[k, axis, j]
+
+
+@implements(lag_sway, "slowing", own=True)
+def _lag_sway(work, cell, axis):
+    k, total = work.slowing.place[cell], 0.0
+    if k >= 0:
+        for j in range(1, DEGREE):
+            total += abs(work.slowing.series[k, axis, j])
+    return total
 
 
 @implements(slow, "slowing", own=True)

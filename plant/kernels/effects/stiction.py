@@ -234,8 +234,9 @@ def _find(surface, parcel, work, count, h, w):
     if work.law[im.LOCATED] != 0.0:
         # the step's begin says which wheels stick, and its end comes before one of them lets go
         for i in range(count):
-            work.wheels[i, im.CX] *= of.ratio
-            work.wheels[i, im.CY] *= of.ratio
+            if work.wheels[i, im.SLIPS] == 0.0:
+                work.wheels[i, im.CX] *= of.ratio
+                work.wheels[i, im.CY] *= of.ratio
         return new_velocity(work, count, work.law, h, w)
     recall(surface, parcel, work, isotropic)
     for _ in range(4 * count + 1):

@@ -13,7 +13,8 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.branches import lever, pulls
 from plant.kernels.implicit.balance_hooks import balance, begin_balance, hold_supports
 from plant.kernels.implicit.extrapolation import euler
-from plant.kernels.implicit.step import EPSILON, INSTANT, grasp, press, pull, unlimited
+from plant.kernels.implicit.hooks import note_lags, own_rates
+from plant.kernels.implicit.step import EPSILON, INSTANT, grasp, press, pull, slips_jump, unlimited
 from plant.kernels.implicit.stiction_hooks import find_velocity
 from plant.kernels.implicit.supports import decay
 
@@ -40,9 +41,9 @@ def to_rates(surface, parcel, work, e):
         if not pulls(surface, parcel, i):
             continue
         wheel = work.wheels[row]
-        row += 1
         for axis in range(2):
             along = y[at.UX + axis] + lever(surface, y, cell, axis) * y[at.OMEGA]
+            wheel[im.OWN_X + axis] = wheel[im.GX + axis] - work.law[im.VISCOUS] * along
             wheel[im.GX + axis] -= wheel[im.K] * along
         wheel[im.K] = 0.0
         # the levers change as the centre of mass moves
@@ -50,6 +51,8 @@ def to_rates(surface, parcel, work, e):
         wheel[im.SY] = fade * surface.decay[cell, 1] + y[at.OMEGA] * y[at.UX]
         wheel[im.SUMMED] = abs(fade) * (abs(surface.decay[cell, 0]) + abs(surface.decay[cell, 1]))
         wheel[im.SUMMED] += abs(y[at.OMEGA]) * (abs(y[at.UX]) + abs(y[at.UY]))
+        own_rates(work, parcel, row, wheel)
+        row += 1
 
 
 @kernel
@@ -64,6 +67,7 @@ def by_rule(surface, parcel, work, now):
     to_rates(surface, parcel, work, e)
     start[0] = start[1] = start[2] = 0.0
     find_velocity(surface, parcel, work, count, im.UNITY, work.velocity)
+    note_lags(work, parcel, count)
 
 
 @kernel
@@ -93,7 +97,7 @@ def accelerate(surface, parcel, work, now, acceleration):
     """
     y, w, law = parcel.y, work.velocity, work.law
     hold_supports(surface, parcel, work, at.NOTHING)
-    ruled = law[im.SET_VALUED] != 0.0 and law[im.LOCATED] != 0.0
+    ruled = slips_jump(law)
     if not ruled and (law[im.SET_VALUED] != 0.0 or law[im.WHEEL] != 0.0):
         for k in range(6):
             work.state[k] = y[k]

@@ -16,6 +16,7 @@ from plant.kernels.common.advance import finite
 from plant.kernels.common.motion import solve
 from plant.kernels.common.springs import foreseen
 from plant.kernels.implicit.balance_hooks import balance, begin_balance, hold_supports
+from plant.kernels.implicit.cones import watch_cones
 from plant.kernels.implicit.hooks import extrapolate, slow, tabulate, take_back
 from plant.kernels.implicit.step import (
     EPSILON,
@@ -24,6 +25,7 @@ from plant.kernels.implicit.step import (
     grasp,
     largest_slip,
     regime,
+    slips_jump,
 )
 from plant.kernels.implicit.stiction_hooks import commit_grips, find_velocity, restore_grips
 from plant.kernels.implicit.supports import decay, find_loads
@@ -38,6 +40,8 @@ SHORTEST = 1e-12
 """No step is shorter, s; at this length any is taken."""
 TRIFLE = 1e-10
 """In a step this short, s, the forces are within rounding of the velocities: one not solved to rounding is as good."""
+HURRIED = 16.0
+"""A step in which a slip turns too far is shortened as if its error were so many times what it may be."""
 MANY = 20.0
 """More support changes than this at once are chatter: steps across them need be no shorter than ..."""
 FRACTION_STEPS = 24
@@ -203,7 +207,8 @@ def cut(surface, parcel, work, now, h, parts):
         y[k] = work.begin[k]
     take_back(work)
     restore_grips(surface, work)
-    work.first[im.SLIPPED] = work.first[im.OUTSIDE] = 0.0
+    work.first[im.SLIPPED] = work.first[im.OUTSIDE] = work.first[im.TURNED] = 0.0
+    work.first[im.CEASED] = parts + 1.0
     for j in range(parts):
         status = supports_here(surface, parcel, work, part)
         if status != at.MOVING:
@@ -211,8 +216,9 @@ def cut(surface, parcel, work, now, h, parts):
         status, wheels, pulling = euler(surface, parcel, work, now + (j + 1) * part, part)
         slow(work, parcel, pulling, part)
         commit_grips(surface, work, pulling)
-        if parts == PARTS and work.law[im.LOCATED] != 0.0 and work.law[im.SET_VALUED] != 0.0:
+        if parts == PARTS and slips_jump(work.law):
             work.first[im.SLIPPED] = max(work.first[im.SLIPPED], largest_slip(work, pulling))
+            watch_cones(parcel, work, pulling, j)
         if parts == PARTS:
             work.first[im.OUTSIDE] = max(work.first[im.OUTSIDE], outside(parcel, work))
         if j == 0:
@@ -318,6 +324,13 @@ def controlled(surface, parcel, work, now, h):
             error = max(error, unseen(surface, parcel, work, now, h))
         if not foreseen(surface) and status == at.MOVING and error <= allowed and h > INSTANT:
             error = 1e300 if tips_next(surface, parcel, work, now, h) else error
+        if status == at.MOVING and h > SHORTEST:
+            if work.first[im.CEASED] < PARTS:
+                # a slip that ends in the last part alone leaves the others as they are
+                h *= work.first[im.CEASED] / PARTS
+                continue
+            if work.first[im.TURNED] != 0.0:
+                error = max(error, HURRIED * allowed)
         factor = 5.0 if error == 0.0 else min(5.0, max(0.1, 0.8 * (allowed / error) ** 0.25))
         if status == at.MOVING and error <= allowed:
             pace[im.NEXT] = max(pace[im.NEXT], h) if factor >= 1.0 and h < pace[im.NEXT] else h * factor

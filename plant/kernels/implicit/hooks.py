@@ -7,6 +7,7 @@ hooks for a ``work`` with ``slowing``, which holds the speed loss of each wheel.
 from __future__ import annotations
 
 from bus.kernel_cache.callee import kernel
+from plant.kernels.common import implicit_layout as im
 from plant.kernels.common.hooks import implements
 
 
@@ -28,6 +29,37 @@ def recoil(work, cell, axis, impulse):
 
 def lighten(work, parcel, row, cell, push_x, push_y, h):
     """Let the wheels in ``work.wheels[row]``, that push by as much either way, give way in a step of ``h``."""
+
+
+def slip_left(work, row, w, axis):
+    """Slip, m/s, that a row's force leaves of a wheel at the velocity ``w``."""
+
+
+def own_rates(work, parcel, row, wheel):
+    """Have the ``wheel`` in the row give way in a problem whose unknowns are accelerations, before its G is changed."""
+
+
+def note_lags(work, parcel, rows):
+    """Keep how fast wheels' speeds change, the first ``rows`` of ``work.wheels`` pulling as in the problem just solved.
+
+    Its unknowns are accelerations.
+    """
+
+
+def begin_lags(work):
+    """Have that which ``note_lags`` kept hold where a step begins."""
+
+
+def expand_lags(work, h):
+    """Expand the wheels' motion over the step just taken into series."""
+
+
+def note_lag_slopes(work, first, h):
+    """Keep how fast the wheels' speeds change at unit time ``first`` of the step of ``h``."""
+
+
+def carry_lags(work, dt):
+    """Move the wheels on by ``dt`` seconds as they run at the event of the step."""
 
 
 def slow(work, parcel, rows, h):
@@ -75,6 +107,41 @@ def summed(surface, cell, e):
 
 @implements(lighten, "slowing", own=False)
 def _stiff(_work, _parcel, _row, _cell, _push_x, _push_y, _h):
+    return
+
+
+@implements(slip_left, "slowing", own=False)
+def _of_the_motors_speed(_work, row, w, axis):
+    return row[im.SX + axis] - w[axis] - row[im.AX + axis] * w[2]
+
+
+@implements(own_rates, "slowing", own=False)
+def _as_driven(_work, _parcel, _row, _wheel):
+    return
+
+
+@implements(note_lags, "slowing", own=False)
+def _none_to_note(_work, _parcel, _rows):
+    return
+
+
+@implements(begin_lags, "slowing", own=False)
+def _none_to_begin(_work):
+    return
+
+
+@implements(expand_lags, "slowing", own=False)
+def _none_to_expand(_work, _h):
+    return
+
+
+@implements(note_lag_slopes, "slowing", own=False)
+def _no_slopes(_work, _first, _h):
+    return
+
+
+@implements(carry_lags, "slowing", own=False)
+def _none_to_carry(_work, _dt):
     return
 
 

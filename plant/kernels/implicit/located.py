@@ -26,7 +26,7 @@ from plant.kernels.common.advance import (
 )
 from plant.kernels.common.advance import SHORTEST as SHORTEST_LOOK
 from plant.kernels.common.advance import prepare as capture_and_settle
-from plant.kernels.common.branches import jumps, settle_branches
+from plant.kernels.common.branches import settle_branches
 from plant.kernels.common.capture import depth, edge_motion, slot_of
 from plant.kernels.common.changes import apply
 from plant.kernels.common.hooks import implements
@@ -46,10 +46,11 @@ from plant.kernels.common.springs import (
 )
 from plant.kernels.common.step_end import allowed, strike
 from plant.kernels.common.wheel_direction import next_turn
+from plant.kernels.implicit.cones import until_cones_end
 from plant.kernels.implicit.dense import expand
 from plant.kernels.implicit.event_hooks import UNCAPTURED, follow_captures
 from plant.kernels.implicit.extrapolation import SHORTEST, controlled, extrapolated, tolerated
-from plant.kernels.implicit.hooks import keep, take_back
+from plant.kernels.implicit.hooks import begin_lags, carry_lags, expand_lags, keep, note_lag_slopes, take_back
 from plant.kernels.implicit.sliding import accelerate_along, by_series, until_a_side_ends
 from plant.kernels.implicit.slips import (
     commit_slips,
@@ -60,6 +61,7 @@ from plant.kernels.implicit.slips import (
     slip_motion,
     until_one_slips,
 )
+from plant.kernels.implicit.step import slips_jump
 from plant.kernels.implicit.step_events import note_changes, note_outrun, remember
 from plant.kernels.implicit.stiction_hooks import keep_grips, restore_grips
 from plant.kernels.implicit.supports import (
@@ -98,8 +100,8 @@ def prepare_uncaptured(surface, parcel, work, now):
     """Loads, and branches of the law. Returns the status."""
     status = settle_loads(surface, parcel, work, at.NOTHING)
     if status == at.MOVING and work.law[im.LOCATED] != 0.0:
-        if jumps(parcel.par):
-            settle_slips(surface, parcel, decay(parcel.par, now))
+        if slips_jump(work.law):
+            settle_slips(surface, parcel, work, decay(parcel.par, now))
         else:
             settle_branches(surface, parcel, work.seg, at.ZERO, decay(parcel.par, now))
     return status
@@ -110,7 +112,7 @@ def prepare_mixed(surface, parcel, work, now, e, events):
     """As ``prepare_supports``, where captured motion is stepped. Returns the status."""
     work.pace[im.NOW] = now
     if work.law[im.LOCATED] != 0.0:
-        settle_slips(surface, parcel, e)
+        settle_slips(surface, parcel, work, e)
     return capture_and_settle(surface, parcel, work, now, e, events)
 
 
@@ -167,6 +169,7 @@ def find_events(surface, parcel, work, now, h):
         work.end[k], y[k] = y[k], work.begin[k]
     carry_supports(parcel, work)
     order = expand(surface, parcel, work, now, h, cos(y[at.THETA]), sin(y[at.THETA]))
+    expand_lags(work, h)
     count, first = search(surface, parcel, work, order, im.UNITY)
     for i in range(count):
         # of cells that are overlooked at one edge, not captured
@@ -174,6 +177,7 @@ def find_events(surface, parcel, work, now, h):
             work.found[i, at.EV_KIND] = at.LEAVE
     for k in range(3):
         work.before[k] = slope(work.ser[at.S_UX + k], order, first) / h
+    note_lag_slopes(work, first, h)
     return count, first
 
 
@@ -214,7 +218,7 @@ def event_motion(surface, parcel, work, kind, cell, edge, now, t):
         rate = (seg[at.PXX] * y[at.UX] + seg[at.PXY] * y[at.UY]) * rx
         rate += (seg[at.PXY] * y[at.UX] + seg[at.PYY] * y[at.UY]) * ry
         return (load + past if kind == at.UNLOAD else load - past), rate
-    if kind == at.SWITCH and jumps(parcel.par):
+    if kind == at.SWITCH and slips_jump(work.law):
         return slip_motion(surface, parcel, work, now, t, cell, edge)
     return 0.0, 0.0
 
@@ -240,6 +244,7 @@ def move_on(surface, parcel, work, which, most, now, t, left):
         for k in range(3):
             y[k] += dt * (y[at.UX + k] + 0.5 * dt * a[k])
             y[at.UX + k] += dt * a[k]
+        carry_lags(work, dt)
         moved += dt
     if kind == at.ENTER or kind == at.LEAVE:
         onto_edge(surface, parcel, cell, edge, TRIFLE * parcel.par[at.TOLERANCE])
@@ -266,7 +271,7 @@ def take_to(surface, parcel, work, now, h, count, first, left):
     y = parcel.y
     which = first_event(work, count, first)
     t = first * h
-    if which >= 0 and work.found[which, at.EV_KIND] == at.SWITCH and not jumps(parcel.par):
+    if which >= 0 and work.found[which, at.EV_KIND] == at.SWITCH and not slips_jump(work.law):
         t = min(t + LATE, h)
     if t == 0.0:
         take_back(work)
@@ -381,7 +386,7 @@ def rough(surface, parcel, work, h):
 def step(surface, parcel, work, now, left, events):
     """One step of at most ``left`` seconds, to its first event. Returns (status, seconds, attempts)."""
     y, pace, ctl = parcel.y, work.pace, parcel.ctl
-    slips = jumps(parcel.par)
+    slips = slips_jump(work.law)
     # nothing chatters where loads ramp
     chatters = work.law[im.CAPTURES] == 0.0 and not smooth(surface)
     quiet = calm(surface, parcel, work) if chatters else 0.0
@@ -412,8 +417,11 @@ def step(surface, parcel, work, now, left, events):
         status = accelerate_along(surface, parcel, work, now, work.begun)
     if status == at.TIPPED:
         return status, 0.0, at.ONE
+    begin_lags(work)
     share, _, _ = least_share(parcel, work)
-    most = look_ahead(surface, parcel, work, now, left)
+    most = until_cones_end(
+        surface, parcel, work, decay(parcel.par, now), look_ahead(surface, parcel, work, now, left)
+    )
     while True:
         status, h, more = controlled(surface, parcel, work, now, most)
         attempts += more

@@ -18,6 +18,7 @@ from plant.kernels.common.modes import grasp as grasp_series
 from plant.kernels.common.motion import accelerations, solve, surface_rates, surfaces
 from plant.kernels.implicit.dense import accelerate
 from plant.kernels.implicit.extrapolation import extrapolated
+from plant.kernels.implicit.step import slips_jump
 
 ROUNDS = 30
 NUDGE = 1e-3
@@ -68,7 +69,7 @@ def mix_instant(surface, parcel, work, c, s):
     """As ``motion.accelerations``, by Newton's method on the fractions."""
     groups, add, second, fraction = parcel.ctl[at.N_GROUPS], work.adds, work.seconds, work.fraction
     law, conditioning = work.law, 1.0
-    precise = (law[im.SET_VALUED] == 0.0 or law[im.LOCATED] != 0.0) and law[im.WHEEL] == 0.0
+    precise = slips_jump(law) or (law[im.SET_VALUED] == 0.0 and law[im.WHEEL] == 0.0)
     enough = RIGHT if precise else ROUGH
     for h in range(groups):
         fraction[h] = 0.5

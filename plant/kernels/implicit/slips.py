@@ -12,16 +12,16 @@ from __future__ import annotations
 from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
-from plant.kernels.common.branches import SLIGHT, leeway, lever, pulls, slight, slip_now
+from plant.kernels.common.branches import SLIGHT, leeway, pulls, slight, slip_now
+from plant.kernels.common.lag_hooks import with_lag_begun
+from plant.kernels.implicit.cones import LEFT, cone_rate, slip_rate
 from plant.kernels.implicit.extrapolation import extrapolated
 from plant.kernels.implicit.sliding import accelerate_along
-from plant.kernels.implicit.step import rounded_slip, sign, slip_at
+from plant.kernels.implicit.step import LARGEST, axes, held_slip, rounded_slip, sign, wheel_slip
 from plant.kernels.implicit.supports import decay
 
-LARGEST = 10.0
-"""How many times larger than a slip of no account one may be where a step ends because of it, ..."""
 AIM = 3.0
-"""... and how many times larger it is sought to be."""
+"""How many times larger than a slip of no account one is sought to be where a step ends because of it."""
 LOOKS = 64
 """So many times is a step that ends there taken at most: bisection alone needs no more."""
 CLOSE = 1e-13
@@ -33,24 +33,47 @@ RESTING = 1e-9
 
 
 @kernel
-def settle_slips(surface, parcel, e):
+def member_slip(surface, parcel, work, e, cell, axis):
+    """Slip of a wheel, or its size where a cell's wheels share a limit, and what rounding leaves of it, m/s."""
+    slip, zero = wheel_slip(surface, parcel, work, e, cell, axis)
+    if work.law[im.LOCATED] == im.CONES:
+        other, more = wheel_slip(surface, parcel, work, e, cell, 1 - axis)
+        return (slip * slip + other * other) ** 0.5, zero + more
+    return slip, zero
+
+
+@kernel
+def member_slip_begun(surface, parcel, work, e, cell, axis):
+    """As ``member_slip``, where the step began."""
+    free = parcel.par[at.FREE_SPEED]
+    slip, zero = slip_now(surface, work.begin, free, e, cell, axis)
+    slip = with_lag_begun(work, cell, axis, slip)
+    if work.law[im.LOCATED] == im.CONES:
+        other, more = slip_now(surface, work.begin, free, e, cell, 1 - axis)
+        other = with_lag_begun(work, cell, 1 - axis, other)
+        return (slip * slip + other * other) ** 0.5, zero + more
+    return slip, zero
+
+
+@kernel
+def settle_slips(surface, parcel, work, e):
     """Put wheels that slip by more than the tolerance on their side; what is less, a step's error may have left."""
     mem, par = parcel.mem, parcel.par
     for i in range(parcel.ctl[at.N_MEMBERS]):
         cell = mem[i, at.CELL]
         if pulls(surface, parcel, i):
-            for axis in range(2):
-                slip, zero = slip_now(surface, parcel.y, par[at.FREE_SPEED], e, cell, axis)
+            for axis in range(axes(work.law)):
+                slip, zero = member_slip(surface, parcel, work, e, cell, axis)
                 if abs(slip) > max(par[at.TOLERANCE], zero):
                     mem[i, at.BRANCH + axis] = 1 if slip > 0.0 else -1
 
 
 @kernel
-def gives_way(wheel, acceleration, axis):
+def gives_way(work, wheel, axis):
     """The rate of slip of a wheel that sticks and, by the rule at an instant, gives way; 0 of one that doesn't."""
-    rate = slip_at(wheel, acceleration, axis)
-    none = max(rounded_slip(wheel, acceleration), RESTING * wheel[im.CX + axis])
-    return rate if wheel[im.CX + axis] > 0.0 and abs(rate) > none else 0.0
+    rate = held_slip(work, wheel, work.velocity, axis)
+    none = max(rounded_slip(wheel, work.velocity), RESTING * wheel[im.CX + axis])
+    return rate if abs(rate) > none else 0.0
 
 
 @kernel
@@ -60,22 +83,13 @@ def give_way(surface, parcel, work):
     for i in range(parcel.ctl[at.N_MEMBERS]):
         if not pulls(surface, parcel, i):
             continue
-        for axis in range(2):
-            rate = gives_way(work.wheels[row], work.velocity, axis)
+        for axis in range(axes(work.law)):
+            rate = gives_way(work, work.wheels[row], axis)
             if mem[i, at.BRANCH + axis] == 0 and rate != 0.0:
                 mem[i, at.BRANCH + axis] = 1 if rate > 0.0 else -1
                 any_did = True
         row += 1
     return any_did
-
-
-@kernel
-def slip_rate(surface, y, par, acceleration, e, cell, axis):
-    """How fast a wheel's slip changes, m/s^2."""
-    rate = -par[at.RATE] * e * par[at.FREE_SPEED] * surface.decay[cell, axis]
-    rate -= acceleration[axis] + lever(surface, y, cell, axis) * acceleration[2]
-    # the lever changes as the centre of mass moves
-    return rate + y[at.OMEGA] * (y[at.UX] if axis == 1 else -y[at.UY])
 
 
 @kernel
@@ -89,13 +103,20 @@ def end_slips(surface, parcel, work, count, together, e):
     for k in range(count):
         if work.found[k, at.EV_KIND] == at.SWITCH and work.found[k, at.EV_TIME] <= together:
             for i in range(parcel.ctl[at.N_MEMBERS]):
-                if mem[i, at.CELL] == int(work.found[k, at.EV_CELL]):
+                if mem[i, at.CELL] == int(work.found[k, at.EV_CELL]) and work.law[im.LOCATED] == im.JUMPS:
                     mem[i, at.BRANCH + int(work.found[k, at.EV_EDGE])] = 0
     for i in range(parcel.ctl[at.N_MEMBERS]):
-        for axis in range(2):
-            slip, zero = slip_now(surface, parcel.y, par[at.FREE_SPEED], e, mem[i, at.CELL], axis)
+        cell = mem[i, at.CELL]
+        for axis in range(axes(work.law)):
+            slip, zero = member_slip(surface, parcel, work, e, cell, axis)
             side, none = mem[i, at.BRANCH + axis], slight(par, zero)
-            rate = side * slip_rate(surface, parcel.y, par, work.before, e, mem[i, at.CELL], axis)
+            if work.law[im.LOCATED] == im.CONES:
+                rate, none = (
+                    cone_rate(surface, parcel, work, work.before, e, cell),
+                    max(none, LEFT * par[at.TOLERANCE]),
+                )
+            else:
+                rate = side * slip_rate(surface, parcel, work, work.before, e, cell, axis)
             if side * slip < -none or (side * slip <= none and rate < 0.0):
                 mem[i, at.BRANCH + axis] = 0
 
@@ -106,11 +127,12 @@ def rest_slips(surface, parcel, work, now, h):
     mem, par = parcel.mem, parcel.par
     for i in range(parcel.ctl[at.N_MEMBERS]):
         cell = mem[i, at.CELL]
-        for axis in range(2):
+        for axis in range(axes(work.law)):
             if mem[i, at.BRANCH + axis] != 0:
-                first, zero = slip_now(surface, work.begin, par[at.FREE_SPEED], decay(par, now), cell, axis)
-                last, _ = slip_now(surface, parcel.y, par[at.FREE_SPEED], decay(par, now + h), cell, axis)
-                if max(abs(first), abs(last)) <= slight(par, zero):
+                first, zero = member_slip_begun(surface, parcel, work, decay(par, now), cell, axis)
+                last, _ = member_slip(surface, parcel, work, decay(par, now + h), cell, axis)
+                ends = work.law[im.LOCATED] == im.CONES and last < first
+                if max(0.0 if ends else abs(first), abs(last)) <= slight(par, zero):
                     mem[i, at.BRANCH + axis] = 0
 
 
@@ -126,13 +148,15 @@ def side_of(parcel, cell, axis):
 @kernel
 def slip_motion(surface, parcel, work, now, t, cell, axis):
     """Value and rate, ``t`` seconds into the step that begins ``now``, of the function whose root a slip's end is."""
-    y, par = parcel.y, parcel.par
+    par = parcel.par
+    if work.law[im.LOCATED] == im.CONES:
+        return 0.0, 0.0
     side, e = side_of(parcel, cell, axis), decay(par, now)
-    slip, zero = slip_now(surface, work.begin, par[at.FREE_SPEED], e, cell, axis)
+    slip, zero = member_slip_begun(surface, parcel, work, e, cell, axis)
     zero = leeway(par, slip, zero, side)
     e = decay(par, now + t)
-    slip, _ = slip_now(surface, y, par[at.FREE_SPEED], e, cell, axis)
-    return side * slip + 2.0 * zero, side * slip_rate(surface, y, par, work.before, e, cell, axis)
+    slip, _ = member_slip(surface, parcel, work, e, cell, axis)
+    return side * slip + 2.0 * zero, side * slip_rate(surface, parcel, work, work.before, e, cell, axis)
 
 
 @kernel
@@ -175,8 +199,8 @@ def note_rates(surface, parcel, work, now):
     most = 0.0
     for row in range(min(parcel.ctl[at.N_MEMBERS], work.wheels.shape[0])):
         wheel = work.wheels[row]
-        for axis in range(2):
-            rate = gives_way(wheel, work.velocity, axis)
+        for axis in range(axes(work.law)):
+            rate = gives_way(work, wheel, axis)
             wheel[im.SIDE_X + axis] = sign(rate)
             most = max(most, abs(rate))
     return most
@@ -187,10 +211,10 @@ def left_over(surface, parcel, work, now):
     """The largest slip, m/s, of wheels that stick where the step begins."""
     par, most = parcel.par, 0.0
     for i in range(parcel.ctl[at.N_MEMBERS]):
-        for axis in range(2):
+        for axis in range(axes(work.law)):
             if parcel.mem[i, at.BRANCH + axis] == 0 and pulls(surface, parcel, i):
                 cell = parcel.mem[i, at.CELL]
-                slip, _ = slip_now(surface, work.begin, par[at.FREE_SPEED], decay(par, now), cell, axis)
+                slip, _ = member_slip_begun(surface, parcel, work, decay(par, now), cell, axis)
                 most = max(most, abs(slip))
     return most
 
@@ -248,9 +272,9 @@ def note_slips(parcel, work, band):
     """Keep which wheels that stick slip by more than ``band`` at the end of the step just solved, and on which side."""
     for row in range(min(parcel.ctl[at.N_MEMBERS], work.wheels.shape[0])):
         wheel = work.wheels[row]
-        for axis in range(2):
-            slip = slip_at(wheel, work.velocity, axis)
-            slips = wheel[im.CX + axis] > 0.0 and abs(slip) > max(band, rounded_slip(wheel, work.velocity))
+        for axis in range(axes(work.law)):
+            slip = held_slip(work, wheel, work.velocity, axis)
+            slips = abs(slip) > max(band, rounded_slip(wheel, work.velocity))
             wheel[im.SIDE_X + axis] = sign(slip) if slips else 0.0
 
 
@@ -261,7 +285,7 @@ def commit_slips(surface, parcel, work):
     for i in range(parcel.ctl[at.N_MEMBERS]):
         if not pulls(surface, parcel, i):
             continue
-        for axis in range(2):
+        for axis in range(axes(work.law)):
             side = work.wheels[row, im.SIDE_X + axis]
             if side != 0.0 and mem[i, at.BRANCH + axis] == 0:
                 mem[i, at.BRANCH + axis] = 1 if side > 0.0 else -1

@@ -8,15 +8,16 @@ smooth; where a force is set-valued (Coulomb's at no slip) an augmented Lagrangi
 
 from __future__ import annotations
 
-from math import exp, isfinite, nan
+from math import exp, inf, isfinite, nan
 
 from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
-from plant.kernels.common.branches import pulls, slip_now
+from plant.kernels.common.branches import pulls, slight, slip_now
+from plant.kernels.common.lag_hooks import with_lag
 from plant.kernels.common.motion import share_of, solve
 from plant.kernels.common.springs import foreseen, gap, note_gaps, plane_at, shift, stiffness
-from plant.kernels.implicit.hooks import lighten, summed, unloaded
+from plant.kernels.implicit.hooks import lighten, slip_left, summed, unloaded
 from plant.kernels.implicit.traction_hooks import drag, factor
 
 
@@ -75,6 +76,8 @@ FLAT = 1e-3
 """How flat the potential must be along a Newton step where the step ends, over its slope where it begins."""
 ROUNDED = 64.0
 """A slip is the difference of speeds that are wrong by so many roundings at most."""
+LARGEST = 10.0
+"""How many times larger than a slip of no account one may be where a step ends because of it."""
 AGREED = 1e-12
 """A slip that rounding can't tell from none, over the speeds around."""
 
@@ -100,16 +103,52 @@ def rounded_slip(row, w):
 
 
 @kernel
+def slips_jump(law):
+    """Whether it is located where wheels begin and cease to slip."""
+    return law[im.LOCATED] >= im.JUMPS
+
+
+@kernel
+def axes(law):
+    """How many slips of a cell begin and end by themselves."""
+    return 1 if law[im.LOCATED] == im.CONES else 2
+
+
+@kernel
+def held_slip(work, row, w, axis):
+    """Slip, m/s, at the velocity ``w`` of a wheel held by up to its limit; its size where wheels share a limit.
+
+    0 of a wheel that slips all along.
+    """
+    if not row[im.CX + axis] > 0.0 or row[im.SLIPS] != 0.0:
+        return 0.0
+    slip = slip_left(work, row, w, axis)
+    if work.law[im.LOCATED] != im.CONES:
+        return slip
+    other = slip_left(work, row, w, 1 - axis)
+    return (slip * slip + other * other) ** 0.5
+
+
+@kernel
+def wheel_slip(surface, parcel, work, e, cell, axis):
+    """A wheel's slip now, and a speed that rounding can't tell from none beside it, m/s.
+
+    ``e`` is the motors' decay factor now.
+    """
+    slip, zero = slip_now(surface, parcel.y, parcel.par[at.FREE_SPEED], e, cell, axis)
+    return with_lag(work, cell, axis, slip), zero
+
+
+@kernel
 def largest_slip(work, count):
     """The largest slip, m/s, of the wheels held by up to their limit in the step just solved; 0 where all stick."""
     most = 0.0
     for i in range(count):
         row = work.wheels[i]
-        for axis in range(2):
-            if row[im.CX + axis] > 0.0:
-                slip = abs(slip_at(row, work.velocity, axis))
-                if slip > max(most, rounded_slip(row, work.velocity)):
-                    most = slip
+        for axis in range(axes(work.law)):
+            slip = abs(held_slip(work, row, work.velocity, axis))
+            if slip > max(most, rounded_slip(row, work.velocity)):
+                most = slip
     return most
 
 
@@ -129,15 +168,38 @@ def hold_branches(mem, i, row, limit_x, limit_y, sticks):
 
 
 @kernel
-def keep_slips(surface, parcel, i, row, e):
+def hold_cone(surface, parcel, work, i, row, limit, e, h):
+    """Let the wheels of member ``i``, which share a limit, pull as if they slip or stick as they did; ``e``: decay now.
+
+    In an instant wheels that slip pull along their slip. So do those whose limit has fallen below zero, to lead the
+    motion on smoothly. In any other step the force follows the slip.
+    """
+    row[im.SLIPS] = parcel.mem[i, at.BRANCH]
+    if parcel.mem[i, at.BRANCH] == 0:
+        return
+    cell = parcel.mem[i, at.CELL]
+    x, zero = wheel_slip(surface, parcel, work, e, cell, 0)
+    y, more = wheel_slip(surface, parcel, work, e, cell, 1)
+    row[im.WAS_X], row[im.WAS_Y] = x, y
+    size = (x * x + y * y) ** 0.5
+    # of a slip that just begins or ends the direction is that in which it changes
+    if (h == 0.0 or limit < 0.0) and size > LARGEST * slight(parcel.par, zero + more):
+        row[im.CX] = row[im.CY] = 0.0
+        row[im.GX] += limit * x / size
+        row[im.GY] += limit * y / size
+
+
+@kernel
+def keep_slips(surface, parcel, work, i, row, e):
     """Let the wheels of member ``i`` that stick keep, for an instant, the slip that the error of a step left them.
 
     ``e`` is the motors' decay factor now. To end that slip within the instant would take any force.
     """
-    y, par, cell = parcel.y, parcel.par, parcel.mem[i, at.CELL]
+    par, cell = parcel.par, parcel.mem[i, at.CELL]
     for axis in range(2):
-        slip, _ = slip_now(surface, y, par[at.FREE_SPEED], e, cell, axis)
-        if parcel.mem[i, at.BRANCH + axis] == 0 and abs(slip) <= par[at.TOLERANCE]:
+        slip, _ = wheel_slip(surface, parcel, work, e, cell, axis)
+        branch = parcel.mem[i, at.BRANCH + (axis if axes(work.law) == 2 else 0)]
+        if branch == 0 and abs(slip) <= par[at.TOLERANCE]:
             row[im.SX + axis] -= slip
 
 
@@ -191,7 +253,8 @@ def grasp(surface, parcel, work, law, e, h):
     press(surface, parcel, work, ahead_x, ahead_y)
     arm = work.pace[im.GYRATION]
     # past the instant at which a support is lifted its load goes on falling, until the step is ended there
-    continues = work.pace[im.LOCATES] != 0.0 and law[im.WHEEL] == 0.0 and foreseen(surface)
+    held = law[im.WHEEL] == 0.0 or slips_jump(law)
+    continues = work.pace[im.LOCATES] != 0.0 and held and foreseen(surface)
     # a wheel that turns round does so at the end of a step: which way it runs is asked in the middle
     midway = e * exp(0.5 * parcel.par[at.RATE] * h) if law[im.PUSH_PER_SHARE] != 0.0 and e > 0.0 else e
     count = at.ZERO
@@ -210,8 +273,10 @@ def grasp(surface, parcel, work, law, e, h):
         along_x, along_y = factor(surface, cell)
         along_x *= share
         along_y *= share
-        row[im.BX] = part * law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_x
-        row[im.BY] = part * law[im.STIFFNESS] + law[im.STIFFNESS_PER_SHARE] * along_y
+        # infinite where wheels that feel what they pull let a set-valued force slow them
+        stiff = part * law[im.STIFFNESS] if law[im.STIFFNESS] < inf else inf
+        row[im.BX] = stiff + law[im.STIFFNESS_PER_SHARE] * along_x
+        row[im.BY] = stiff + law[im.STIFFNESS_PER_SHARE] * along_y
         limit_x = part * law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_x
         limit_y = part * law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_y
         row[im.CX], row[im.CY] = max(limit_x, 0.0), max(limit_y, 0.0)
@@ -222,10 +287,13 @@ def grasp(surface, parcel, work, law, e, h):
             row[im.GX], row[im.GY] = push_x * sign(vx), push_y * sign(vy)
         row[im.LX] = row[im.LY] = 0.0
         row[im.K] = part * law[im.VISCOUS]
-        if law[im.LOCATED] != 0.0:
-            hold_branches(mem, i, row, limit_x, limit_y, law[im.SET_VALUED])
-            if law[im.SET_VALUED] != 0.0 and h <= INSTANT:
-                keep_slips(surface, parcel, i, row, e * (1.0 + parcel.par[at.RATE] * h))
+        row[im.SLIPS] = 0.0
+        if law[im.LOCATED] == im.CONES:
+            hold_cone(surface, parcel, work, i, row, limit_x, e * exp(parcel.par[at.RATE] * h), h)
+        elif law[im.LOCATED] != 0.0:
+            hold_branches(mem, i, row, limit_x, limit_y, law[im.LOCATED] - im.KINKS)
+        if slips_jump(law) and h <= INSTANT:
+            keep_slips(surface, parcel, work, i, row, e * (1.0 + parcel.par[at.RATE] * h))
         lighten(work, parcel, count, cell, push_x, push_y, h)
         if law[im.VISCOUS] != 0.0:
             row[im.GX] += row[im.K] * row[im.SX]
