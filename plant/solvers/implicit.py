@@ -107,7 +107,7 @@ def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
         ended=np.zeros(3),
         law=np.zeros(implicit_layout.LAW_SIZE),
         pace=np.zeros(implicit_layout.PACE_SIZE),
-        wheels=np.zeros((capacity, implicit_layout.WHEEL_SIZE)),
+        wheels=np.zeros((capacity * layout.MODES, implicit_layout.WHEEL_SIZE)),
         start=np.zeros(3),
         velocity=np.zeros(3),
         trial=np.zeros(3),
@@ -167,8 +167,8 @@ def locate(
 ) -> None:
     """Have one parcel's events located.
 
-    Those of its wheels as well, where their forces are linear on each branch of a law that all wheels share, and wheels
-    run as motors drive them.
+    So are those of its wheels under ``coulomb``, and under ``stick_slip`` on wheels that all share the law and run as
+    motors drive them.
     """
     effects = scene.effects
     pace[implicit_layout.LOCATES] = 1.0
@@ -184,10 +184,18 @@ def locate(
             # no slip is within the limit: each wheel sticks, or slips one way
             parcel.par[[layout.LIMIT, layout.LIMIT_PER_SHARE]] = 0.0
             law[implicit_layout.LOCATED] = implicit_layout.JUMPS
-        if linear:
+        # where cells that feel what they pull all stick, no fraction of a captured cell is found
+        if linear and not (traction.isotropic and effects.wheel_load is not None):
             law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
         return
-    if not linear or effects.wheel_load is not None:
+    if not linear:
+        return
+    kinks = math.inf not in (traction.limit, traction.limit_per_load) and (
+        traction.stiffness > 0.0 or traction.stiffness_per_load > 0.0
+    )
+    if effects.wheel_load is not None:
+        # a wheel that may be on two branches at once would have to lag behind by both
+        law[implicit_layout.CAPTURES] = 0.0 if kinks else implicit_layout.BY_STEPS
         return
     set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
     # what the kernels of ``exact`` don't know of: where wheels change branch, and the motion along a surface
@@ -197,11 +205,9 @@ def locate(
     law[implicit_layout.LOCATED] = float(parcel.par[layout.LIMIT] < math.inf)
     if known and effects.uneven_supports is None:
         law[implicit_layout.CAPTURES] = implicit_layout.BY_SERIES
-    elif math.inf in (traction.limit, traction.limit_per_load) or not (
-        traction.stiffness > 0.0 or traction.stiffness_per_load > 0.0
-    ):
+    else:
         # without branches forces are linear in the loads
-        law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
+        law[implicit_layout.CAPTURES] = implicit_layout.BY_MODES if kinks else implicit_layout.BY_STEPS
 
 
 @final

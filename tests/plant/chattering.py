@@ -29,14 +29,15 @@ def make_chattering(
     effects: Mapping[str, object] | None = None,
     *,
     volts: float = 1.0,
+    off_m: float = 1e-9,
     **values: object,
 ) -> tuple[Plant, Floats]:
-    """A parcel at rest within 0.2 micrometres of the cell, and the wheels' speeds; ``volts`` of motors by m/s."""
+    """A parcel at rest within ``off_m`` of the cell, and the wheels' speeds; ``volts`` of motors by m/s."""
     draw = np.random.default_rng([seed, 29])
     body = parcel(
         mass_kg=float(draw.uniform(1.5, 2.5)),
         size_m=SIZE_M,
-        position_m=(0.1 - 0.5 * SIZE_M[0] + draw.uniform(-2e-7, 2e-7), draw.uniform(-0.01, 0.01)),
+        position_m=(0.1 - 0.5 * SIZE_M[0] + off_m * draw.uniform(-1.0, 1.0), draw.uniform(-0.01, 0.01)),
         angle_rad=0.0,
         **values,
     )

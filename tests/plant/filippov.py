@@ -61,7 +61,15 @@ class Filippov:
 
     def slip(self, y: Floats, cells: NDArray[np.int64]) -> Floats:
         """Slip of each axis, ``(2 n,)`` m/s."""
-        return self.bench.steady[cells].T.ravel() - self.rows(y, cells) @ y[3:]
+        return self.speeds(y)[cells].T.ravel() - self.rows(y, cells) @ y[3:6]
+
+    def speeds(self, _y: Floats) -> Floats:
+        """Surface speeds of all wheels, ``(n, 2)`` m/s."""
+        return self.bench.steady
+
+    def yielding(self, _y: Floats, cells: NDArray[np.int64]) -> tuple[float, Floats]:
+        """How wheels answer to their force per kilogram of the parcel, and how fast their speeds change without it."""
+        return 0.0, np.zeros(2 * len(cells))
 
     def limits(self, y: Floats, cells: NDArray[np.int64]) -> Floats:
         """Largest force of each axis per kilogram, ``(2 n,)`` m/s^2."""
@@ -86,15 +94,15 @@ class Filippov:
         if stuck.any():
             held = rows[stuck]
             free = inverse * (rows.T @ force) + self._turning(y)
-            answer = held @ (inverse[:, None] * held.T)
-            force[stuck] = np.linalg.lstsq(answer, -held @ free, rcond=1e-11)[0]
+            own, drift = self.yielding(y, cells)
+            answer = held @ (inverse[:, None] * held.T) + own * np.eye(len(held))
+            force[stuck] = np.linalg.lstsq(answer, drift[stuck] - held @ free, rcond=1e-11)[0]
         return force
 
-    def rate(self, y: Floats, cells: NDArray[np.int64], mode: Floats) -> Floats:
+    def rate_of(self, y: Floats, cells: NDArray[np.int64], mode: Floats) -> Floats:
         """Time derivative of the state."""
-        return np.concatenate(
-            [y[3:], self._inverse() * (self.rows(y, cells).T @ self.forces(y, cells, mode))]
-        )
+        force = self.forces(y, cells, mode)
+        return np.concatenate([y[3:6], self._inverse() * (self.rows(y, cells).T @ force)])
 
     def next_mode(
         self, y: Floats, cells: NDArray[np.int64], mode: Floats, still: NDArray[np.bool_]
@@ -106,15 +114,24 @@ class Filippov:
             return mode
         free = self._inverse() * (rows.T @ (mode * limit)) + self._turning(y)
         matrix = root[:, None] * rows[still].T
-        bound = limit[still]
-        found = lsq_linear(matrix, -free / root, (-bound, bound), method="bvls", tol=1e-15)
-        slip_rate = -rows[still] @ (free + root * (matrix @ found.x))
+        bound, wanted = limit[still], -free / root
+        own, drift = self.yielding(y, cells)
+        drift = drift[still]
+        if own > 0.0:
+            matrix = np.vstack([matrix, np.sqrt(own) * np.eye(len(bound))])
+            wanted = np.concatenate([wanted, drift / np.sqrt(own)])
+        found = lsq_linear(matrix, wanted, (-bound, bound), method="bvls", tol=1e-15)
+        slip_rate = drift - own * found.x - rows[still] @ (free + root * (matrix[:3] @ found.x))
         mode[still] = np.where(np.abs(slip_rate) > SLIPS * self.bench.kappa, np.sign(slip_rate), 0.0)
         return mode
 
+    def start(self, y: Floats) -> Floats:
+        """The whole state where the parcel's is ``y``."""
+        return np.array(y, dtype=np.float64)
+
     def run(self, y: Floats, span: float) -> Floats:
         """State after ``span`` seconds."""
-        y = np.array(y, dtype=np.float64)
+        y = self.start(y)
         cells = self.bench.under(y)
         slip = self.slip(y, cells)
         now, mode = 0.0, self.next_mode(y, cells, np.sign(slip), slip == 0.0)
@@ -155,7 +172,8 @@ class Filippov:
                 [(mode * self.slip(y, cells))[slipping], inside * self.bench.depth(y, self.bench.cells)]
             )
             held = self.rows(y, cells)[sticking]
-            if len(sticking) == 0 or np.linalg.matrix_rank(held, tol=1e-9) < len(sticking):
+            unique = self.yielding(y, cells)[0] > 0.0
+            if len(sticking) == 0 or (not unique and np.linalg.matrix_rank(held, tol=1e-9) < len(sticking)):
                 # forces of axes that hold each other are not unique: that they are enough is checked by the caller
                 return values, kinds
             force = self.forces(y, cells, mode)[sticking]
@@ -170,7 +188,13 @@ class Filippov:
         """The motion in one mode. Returns (time and state where it ends, which event ends it)."""
         signs = self._signs(cells, mode)
         solver = DOP853(
-            lambda _, at: self.rate(at, cells, mode), now, y, span, rtol=1e-13, atol=1e-15, max_step=LONGEST_S
+            lambda _, at: self.rate_of(at, cells, mode),
+            now,
+            y,
+            span,
+            rtol=1e-13,
+            atol=1e-15,
+            max_step=LONGEST_S,
         )
         # what has just begun is at its root: followed from where it has left it
         armed = signs(y)[0] > 1e-12
@@ -207,3 +231,35 @@ class Filippov:
         """Sticking axes can hold: the rule for the next mode leaves them as they are."""
         stuck = mode == 0.0
         assert np.array_equal(self.next_mode(y, cells, mode, stuck), mode), "a stick has ended unseen"
+
+
+@dataclass
+class LoadedFilippov(Filippov):
+    """The same on wheels that start from rest and feel what they pull: their speeds are part of the state.
+
+    Attributes:
+        rate: of the motors, 1/s, which would run at ``bench.steady``.
+        lightness: mass of the parcel over the inertia of a wheel.
+    """
+
+    rate: float = 0.0
+    lightness: float = 0.0
+
+    def start(self, y: Floats) -> Floats:
+        """Speeds of all wheels, ``(2 n,)`` cell by cell, after the parcel's state."""
+        return np.concatenate([y, np.zeros(2 * len(self.bench.cells))])
+
+    def speeds(self, y: Floats) -> Floats:
+        """Those of the state."""
+        return y[6:].reshape(-1, 2)
+
+    def yielding(self, y: Floats, cells: NDArray[np.int64]) -> tuple[float, Floats]:
+        """By their inertia, and as the motors draw them to their speeds."""
+        return self.lightness, self.rate * (self.bench.steady - self.speeds(y))[cells].T.ravel()
+
+    def rate_of(self, y: Floats, cells: NDArray[np.int64], mode: Floats) -> Floats:
+        """Time derivative of the state."""
+        force = self.forces(y, cells, mode)
+        wheels = self.rate * (self.bench.steady - self.speeds(y))
+        wheels[cells] -= self.lightness * force.reshape(2, -1).T
+        return np.concatenate([y[3:6], self._inverse() * (self.rows(y, cells).T @ force), wheels.ravel()])

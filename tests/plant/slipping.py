@@ -9,7 +9,7 @@ import numpy as np
 
 from plant.friction.registry import FrictionSpec
 from plant.plant import Plant
-from tests.plant.filippov import Filippov
+from tests.plant.filippov import Filippov, LoadedFilippov
 from tests.plant.laws import COULOMB, MU
 from tests.plant.scenes import SECOND, Floats, bench, parcel, solved
 
@@ -18,8 +18,13 @@ RADIUS_M = 0.36
 """Of the parcels here, at most."""
 
 
-def make_scene(seed: int, solver: dict[str, Any]) -> tuple[Plant, Floats]:
-    """A parcel on nine cells, sliding and turning, and random speeds of their wheels."""
+def make_scene(
+    seed: int,
+    solver: dict[str, Any],
+    law: FrictionSpec = COULOMB,
+    effects: Mapping[str, object] | None = None,
+) -> tuple[Plant, Floats]:
+    """A parcel on nine cells, sliding and turning, and random speeds of their wheels: volts if there are motors."""
     draw = np.random.default_rng([seed, 7])
     body = parcel(
         size_m=tuple(draw.uniform(0.36, 0.5, 2)),
@@ -28,8 +33,8 @@ def make_scene(seed: int, solver: dict[str, Any]) -> tuple[Plant, Floats]:
         velocity_m_s=tuple(draw.uniform(-0.3, 0.3, 2)),
         angular_velocity_rad_s=draw.uniform(-4.0, 4.0),
     )
-    plant = solved(solver, body, law=COULOMB, rows=3, columns=3, pitch_m=0.16)
-    return plant, draw.uniform(-0.3, 0.3, (9, 2))
+    plant = solved(solver, body, law=law, effects=effects, rows=3, columns=3, pitch_m=0.16)
+    return plant, draw.uniform(-0.3, 0.3, (9, 2)) * (1.0 if effects is None else 20.0)
 
 
 def make_wide_scene(
@@ -78,6 +83,21 @@ def solve_reference(seed: int) -> tuple[Filippov, Floats]:
     return reference, reference.run(plant.state[0], SPAN_S)
 
 
+LOADED = {
+    "motors": {"time_constant_s": 0.05, "speed_per_volt_m_s": 0.05},
+    "wheel_load": {"inertia_kg": 0.05},
+}
+"""Motors from rest, and wheels that feel what they pull."""
+
+
+def solve_loaded_reference(seed: int) -> tuple[LoadedFilippov, Floats]:
+    """As ``solve_reference``, on wheels that feel what they pull (``LOADED``)."""
+    plant, drives = make_scene(seed, {"name": "implicit"}, effects=LOADED)
+    mass_kg = 2.0
+    reference = LoadedFilippov(bench(plant, 0.05 * drives, mu=MU), rate=20.0, lightness=mass_kg / 0.05)
+    return reference, reference.run(plant.state[0], SPAN_S)[:6]
+
+
 def controlled(tolerance: float) -> dict[str, Any]:
     """Settings of ``implicit`` at a tolerance, chatter captured within a tenth of it."""
     return {"name": "implicit", "tolerance": tolerance, "capture_m": 0.1 * tolerance}
@@ -94,8 +114,14 @@ def distance_m(plant: Plant, known: Floats) -> float:
     return distance_m_of(plant.state[0], known)
 
 
-def off_m(seed: int, solver: dict[str, Any], known: Floats) -> float:
+def off_m(
+    seed: int,
+    solver: dict[str, Any],
+    known: Floats,
+    law: FrictionSpec = COULOMB,
+    effects: Mapping[str, object] | None = None,
+) -> float:
     """How far from the reference a solver ends at the footprint, m."""
-    plant, drives = make_scene(seed, solver)
+    plant, drives = make_scene(seed, solver, law, effects)
     plant.advance(drives, round(SPAN_S * SECOND))
     return distance_m(plant, known)

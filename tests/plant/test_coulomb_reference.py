@@ -7,14 +7,16 @@ import pytest
 
 from plant.friction.coulomb import Coulomb
 from tests.plant.filippov import Filippov, LiftedError
-from tests.plant.laws import COULOMB, DAMPED, MU, STATIC
+from tests.plant.laws import CONE, COULOMB, DAMPED, MU, STATIC
 from tests.plant.scenes import SECOND, Floats, G, bench, parcel, solved
 from tests.plant.slipping import (
+    LOADED,
     controlled,
     distance_m_of,
     make_scene,
     make_wide_scene,
     off_m,
+    solve_loaded_reference,
     solve_reference,
 )
 
@@ -49,6 +51,52 @@ def test_a_step_ends_where_a_wheel_begins_or_ceases_to_slip_instead_of_shrinking
         plant, drives = make_scene(seed, controlled(1e-6))
         plant.advance(drives, SECOND // 2)
         assert plant.effort < 200
+
+
+def test_slips_are_located_on_wheels_that_feel_their_load_and_on_cells_with_one_limit() -> None:
+    """In steps that shrink these scenes take 1,490 and 5,541."""
+    steps = {"cone": 0, "loaded": 0}
+    for seed in range(5):
+        for name, (law, effects) in {"cone": (CONE, None), "loaded": (COULOMB, LOADED)}.items():
+            plant, drives = make_scene(seed, controlled(1e-6), law, effects)
+            plant.advance(drives, SECOND // 2)
+            steps[name] += plant.effort
+    assert steps["cone"] < 1200
+    assert steps["loaded"] < 2000
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_wheels_that_feel_their_load_keep_the_tolerance_against_a_reference_of_their_own(
+    request: pytest.FixtureRequest,
+) -> None:
+    kinds: list[str] = []
+    for seed in range(24 if request.config.getoption("nightly") else 3):
+        reference, known = solve_loaded_reference(seed)
+        kinds += [kind for _, kind, _ in reference.events]
+        for tolerance in (1e-4, 1e-6, 1e-8):
+            assert off_m(seed, controlled(tolerance), known, effects=LOADED) <= 0.1 * tolerance, (
+                seed,
+                tolerance,
+            )
+    assert kinds.count("slip ends") > 30
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("effects", [None, LOADED], ids=["driven", "loaded"])
+def test_time_stepping_tends_to_the_ends_of_located_slips_on_cells_with_one_limit(
+    request: pytest.FixtureRequest, effects: dict[str, object] | None
+) -> None:
+    """Steps of one length are Moreau's, and know nothing of where slips begin and end."""
+    steps = [4e-3 * 0.5**k for k in range(9)]
+    for seed in range(20 if request.config.getoption("nightly") else 6):
+        plant, drives = make_scene(seed, controlled(1e-8), CONE, effects)
+        plant.advance(drives, SECOND // 2)
+        known = plant.state[0].copy()
+        off = [off_m(seed, {"name": "implicit", "step_s": step}, known, CONE, effects) for step in steps]
+        slope = float(np.polyfit(np.log(steps), np.log(off), 1)[0])
+        assert 0.8 < slope < 1.3, (seed, slope)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from plant.kernels.common.hooks import implements
 
 
 def cone_changes(work, surface, parcel, order, step, end, count):
-    """Where the slip of a cell ends or nearly does, as ``branches.branch_changes``. Returns (count, end)."""
+    """Find when the slip of a cell ends or nearly does, as ``branches.branch_changes`` does. Returns (count, end)."""
 
 
 @implements(cone_changes, "law", own=False)

@@ -27,7 +27,10 @@ KINKS: Final = 1.0  # each wheel by itself, and its force is continuous
 JUMPS: Final = 2.0  # each wheel by itself, and its force jumps where its slip turns round
 CONES: Final = 3.0  # the wheels of a cell together: the size of their force jumps where their slip ends
 BY_SERIES: Final = 1.0  # that motion is the exact solver's Taylor series
-BY_STEPS: Final = 2.0  # it is stepped as other motion is
+BY_STEPS: Final = 2.0  # it is stepped as other motion is, every wheel under the mean of its loads
+BY_MODES: Final = (
+    3.0  # likewise, every wheel once for each mode: its branch of the law may differ from mode to mode
+)
 
 # ── pace: float64 settings and memory of one parcel
 GYRATION: Final = 0  # m
@@ -44,15 +47,15 @@ PACE_SIZE: Final = 10
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
 AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED, SIDE_X, SIDE_Y, CELL = range(17)
-SLIPS, WAS_X, WAS_Y, OWN_X, OWN_Y = range(17, 22)
+SLIPS, WAS_X, WAS_Y, OWN_X, OWN_Y, OWN_K = range(17, 23)
 """Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b`` and ``c`` along each axis, equal
 where both axes share one limit; multipliers L. Forces without a limit are ``G - K v``: the law's push and viscous part,
 and other resistance to the underside's motion. ``SUMMED`` is the size of the terms that the free speeds are sums of:
 they may cancel, their rounding does not. ``SIDE_X`` and ``SIDE_Y`` are 1 or -1 where the wheel sticks
 as the step begins and slips that way at its end, else 0. ``CELL`` is which cell it is. ``SLIPS`` is 1 where both wheels
 of a cell slip, which share one limit; ``WAS_X`` and ``WAS_Y`` are then their slip as the part begins. ``OWN_X`` and
-``OWN_Y``: the part of G by which the wheel itself is pulled back."""
-WHEEL_SIZE: Final = 22
+``OWN_Y``: the part of G by which the wheel itself is pulled back, ``OWN_K`` that of K."""
+WHEEL_SIZE: Final = 23
 
 # ── first: float64 findings about a step: the change of velocity in its first part, then
 REGIME: Final = 3  # which wheels are at their limits there

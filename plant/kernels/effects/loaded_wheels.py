@@ -246,13 +246,12 @@ def _slow(work, parcel, rows, h):
             now[k, 2 + c] += lasts * now[k, c]
             now[k, c] *= left
     behind, w = lag(rate, h), work.velocity
-    # what else resists the parcel's motion does not act on the wheel
-    viscous = work.law[im.VISCOUS] / (1.0 + lasts / work.law[im.WHEEL] * work.law[im.VISCOUS])
     for i in range(rows):
         wheel, k = work.wheels[i], slowing.row[i]
         fx, fy, _, _, _ = pull(wheel, w, work.law[im.ISOTROPIC])
-        fx += wheel[im.GX] - viscous * (w[0] + wheel[im.AX] * w[2])
-        fy += wheel[im.GY] - viscous * (w[1] + wheel[im.AY] * w[2])
+        # what else resists the parcel's motion does not act on the wheel
+        fx += wheel[im.GX] - wheel[im.OWN_K] * (w[0] + wheel[im.AX] * w[2])
+        fy += wheel[im.GY] - wheel[im.OWN_K] * (w[1] + wheel[im.AY] * w[2])
         ax, ay = fx / work.law[im.WHEEL], fy / work.law[im.WHEEL]
         now[k, 0] -= lasts * ax
         now[k, 1] -= lasts * ay

@@ -43,7 +43,7 @@ def to_rates(surface, parcel, work, e):
         wheel = work.wheels[row]
         for axis in range(2):
             along = y[at.UX + axis] + lever(surface, y, cell, axis) * y[at.OMEGA]
-            wheel[im.OWN_X + axis] = wheel[im.GX + axis] - work.law[im.VISCOUS] * along
+            wheel[im.OWN_X + axis] = wheel[im.GX + axis] - wheel[im.OWN_K] * along
             wheel[im.GX + axis] -= wheel[im.K] * along
         wheel[im.K] = 0.0
         # the levers change as the centre of mass moves
@@ -89,16 +89,22 @@ def by_formula(surface, parcel, work, now):
 
 
 @kernel
+def over_an_instant(law):
+    """Whether forces have no formula: wheels that push by the way in which they run may be brought to a stand."""
+    return law[im.WHEEL] != 0.0 and law[im.PUSH_PER_SHARE] != 0.0
+
+
+@kernel
 def accelerate(surface, parcel, work, now, acceleration):
     """Acceleration where the parcel is, at ``now``, with the supports of the step, into ``acceleration[:3]``.
 
-    By a step of an instant where a force has no formula: at no slip, or on a wheel that gives way. Returns the status:
+    By a step of an instant where a force has no formula. Returns the status:
     TIPPED where no loads balance the traction.
     """
     y, w, law = parcel.y, work.velocity, work.law
     hold_supports(surface, parcel, work, at.NOTHING)
     ruled = slips_jump(law)
-    if not ruled and (law[im.SET_VALUED] != 0.0 or law[im.WHEEL] != 0.0):
+    if over_an_instant(law):
         for k in range(6):
             work.state[k] = y[k]
         status, _, _ = euler(surface, parcel, work, now + INSTANT, INSTANT)

@@ -45,6 +45,8 @@ HURRIED = 16.0
 MANY = 20.0
 """More support changes than this at once are chatter: steps across them need be no shorter than ..."""
 FRACTION_STEPS = 24
+FARTHEST = 1.0
+"""No fraction of wheels that feel what they pull is taken to be farther than this from [0, 1]."""
 CHORDS = 4
 """So many of them share the slopes of the first."""
 NUDGE = 1e-2
@@ -104,6 +106,12 @@ def at_fractions(surface, parcel, work, e, h, w):
 
 
 @kernel
+def near(work, fraction):
+    """Keep a fraction that is sought from running away, and with it wheels that feel what they pull."""
+    return max(-FARTHEST, min(1.0 + FARTHEST, fraction)) if work.law[im.WHEEL] != 0.0 else fraction
+
+
+@kernel
 def find_motion(surface, parcel, work, e, h, w):
     """Velocity after a step of ``h`` into ``w``, and the fractions that leave it along captured surfaces.
 
@@ -132,7 +140,7 @@ def find_motion(surface, parcel, work, e, h, w):
         if solve(work.matrix, groups, rates, work.change, work.scratch) == 0.0:
             break
         for g in range(groups):
-            fraction[g] += work.change[g]
+            fraction[g] = near(work, fraction[g] + work.change[g])
         count, found = at_fractions(surface, parcel, work, e, h, w)
         if not found:
             break

@@ -12,13 +12,13 @@ from math import cos, sin
 from bus.kernel_cache.callee import kernel
 from plant.kernels.common import implicit_layout as im
 from plant.kernels.common import layout as at
+from plant.kernels.common.branches import settle_branches
 from plant.kernels.common.hooks import implements
 from plant.kernels.common.modes import gather, least_share, mix
 from plant.kernels.common.modes import grasp as grasp_series
 from plant.kernels.common.motion import accelerations, solve, surface_rates, surfaces
-from plant.kernels.implicit.dense import accelerate
-from plant.kernels.implicit.extrapolation import extrapolated
-from plant.kernels.implicit.step import slips_jump
+from plant.kernels.implicit.dense import accelerate, over_an_instant
+from plant.kernels.implicit.extrapolation import extrapolated, near
 
 ROUNDS = 30
 NUDGE = 1e-3
@@ -53,6 +53,8 @@ def _gather(work, surface, parcel, m, e, mixes):
     # accelerations are asked for here, as where a step begins
     work.centroid[m, 0], work.centroid[m, 1] = work.segs[m, at.CX], work.segs[m, at.CY]
     work.begin[0], work.begin[1] = parcel.y[0], parcel.y[1]
+    if work.law[im.LOCATED] == im.KINKS:
+        settle_branches(surface, parcel, work.segs[m], m, e)
 
 
 @kernel
@@ -69,7 +71,7 @@ def mix_instant(surface, parcel, work, c, s):
     """As ``motion.accelerations``, by Newton's method on the fractions."""
     groups, add, second, fraction = parcel.ctl[at.N_GROUPS], work.adds, work.seconds, work.fraction
     law, conditioning = work.law, 1.0
-    precise = slips_jump(law) or (law[im.SET_VALUED] == 0.0 and law[im.WHEEL] == 0.0)
+    precise = not over_an_instant(law)
     enough = RIGHT if precise else ROUGH
     for h in range(groups):
         fraction[h] = 0.5
@@ -93,7 +95,7 @@ def mix_instant(surface, parcel, work, c, s):
             break
         off = 0.0
         for h in range(groups):
-            fraction[h] += work.change[h]
+            fraction[h] = near(work, fraction[h] + work.change[h])
             off = max(off, abs(work.change[h]))
         if off <= enough:
             break

@@ -153,13 +153,13 @@ def largest_slip(work, count):
 
 
 @kernel
-def hold_branches(mem, i, row, limit_x, limit_y, sticks):
-    """Let the wheels of member ``i`` pull as on the branches that they are on, wherever the slip leads.
+def hold_branches(mem, i, row, m, limit_x, limit_y, sticks):
+    """Let the wheels of member ``i`` pull as on the branches that they are on in mode m, wherever the slip leads.
 
     Where wheels stick (``sticks`` not 0) those between the limits have them yet.
     """
     for axis in range(2):
-        branch = mem[i, at.BRANCH + axis]
+        branch = mem[i, at.BRANCH + 2 * m + axis]
         if branch != 0:
             row[im.CX + axis] = 0.0
         elif sticks == 0.0:
@@ -190,7 +190,7 @@ def hold_cone(surface, parcel, work, i, row, limit, e, h):
 
 
 @kernel
-def keep_slips(surface, parcel, work, i, row, e):
+def keep_slips(surface, parcel, work, law, i, row, e):
     """Let the wheels of member ``i`` that stick keep, for an instant, the slip that the error of a step left them.
 
     ``e`` is the motors' decay factor now. To end that slip within the instant would take any force.
@@ -198,7 +198,7 @@ def keep_slips(surface, parcel, work, i, row, e):
     par, cell = parcel.par, parcel.mem[i, at.CELL]
     for axis in range(2):
         slip, _ = wheel_slip(surface, parcel, work, e, cell, axis)
-        branch = parcel.mem[i, at.BRANCH + (axis if axes(work.law) == 2 else 0)]
+        branch = parcel.mem[i, at.BRANCH + (axis if axes(law) == 2 else 0)]
         if branch == 0 and abs(slip) <= par[at.TOLERANCE]:
             row[im.SX + axis] -= slip
 
@@ -241,6 +241,72 @@ def mean_share(surface, parcel, work, i, continues):
 
 
 @kernel
+def share_in(surface, parcel, work, i, m, continues):
+    """As ``mean_share``, of mode m alone, weighted by its share of the motion."""
+    mem = parcel.mem
+    if mem[i, at.MARK + m] != at.ACTIVE:
+        return 0.0, 0.0
+    cell, seg, plane = mem[i, at.CELL], work.segs[m], work.planes[m]
+    rx, ry = surface.pos[cell, 0] - parcel.y[0] - seg[at.CX], surface.pos[cell, 1] - parcel.y[1] - seg[at.CY]
+    load = stiffness(surface, cell, i) * (plane[0] + plane[1] * rx + plane[2] * ry - gap(surface, cell))
+    if load <= 0.0 and not continues:
+        return 0.0, 0.0
+    part = share_of(work.fraction, parcel.ctl[at.N_GROUPS], m)
+    return part * load, part
+
+
+@kernel
+def list_wheels(surface, parcel, work, law, e, h, i, m, count, share, part):
+    """List member i's wheels in row ``count`` of ``work.wheels``, in mode m, with a ``share`` of the weight on them.
+
+    ``part`` is the share of the motion in which the wheels carry it; others as of ``grasp``.
+    """
+    mem, y, row, cell = parcel.mem, parcel.y, work.wheels[count], parcel.mem[i, at.CELL]
+    arm, ahead_x, ahead_y = work.pace[im.GYRATION], h * y[at.UX], h * y[at.UY]
+    rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
+    vx, vy = unloaded(surface, cell, e)
+    row[im.CELL] = cell
+    row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
+    row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
+    row[im.SUMMED] = law[im.FREE_SPEED] * summed(surface, cell, e)
+    along_x, along_y = factor(surface, cell)
+    along_x *= share
+    along_y *= share
+    # infinite where wheels that feel what they pull let a set-valued force slow them
+    stiff = part * law[im.STIFFNESS] if law[im.STIFFNESS] < inf else inf
+    row[im.BX] = stiff + law[im.STIFFNESS_PER_SHARE] * along_x
+    row[im.BY] = stiff + law[im.STIFFNESS_PER_SHARE] * along_y
+    limit_x = part * law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_x
+    limit_y = part * law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_y
+    row[im.CX], row[im.CY] = max(limit_x, 0.0), max(limit_y, 0.0)
+    if part < 0.0:
+        # a fraction just outside [0, 1] on the way to where it is right
+        row[im.CX], row[im.CY] = abs(limit_x), abs(limit_y)
+    row[im.GX] = row[im.GY] = push_x = push_y = 0.0
+    if law[im.PUSH_PER_SHARE] != 0.0:
+        # a wheel that turns round does so at the end of a step: which way it runs is asked in the middle
+        midway = e * exp(0.5 * parcel.par[at.RATE] * h) if e > 0.0 else e
+        vx, vy = unloaded(surface, cell, midway)
+        push_x, push_y = law[im.PUSH_PER_SHARE] * along_x, law[im.PUSH_PER_SHARE] * along_y
+        row[im.GX], row[im.GY] = push_x * sign(vx), push_y * sign(vy)
+    row[im.LX] = row[im.LY] = 0.0
+    row[im.K] = part * law[im.VISCOUS]
+    row[im.SLIPS] = 0.0
+    if law[im.LOCATED] == im.CONES:
+        hold_cone(surface, parcel, work, i, row, limit_x, e * exp(parcel.par[at.RATE] * h), h)
+    elif law[im.LOCATED] != 0.0:
+        hold_branches(mem, i, row, m, limit_x, limit_y, law[im.LOCATED] - im.KINKS)
+    if slips_jump(law) and h <= INSTANT:
+        keep_slips(surface, parcel, work, law, i, row, e * (1.0 + parcel.par[at.RATE] * h))
+    lighten(work, parcel, count, cell, push_x, push_y, h)
+    if law[im.VISCOUS] != 0.0:
+        row[im.GX] += row[im.K] * row[im.SX]
+        row[im.GY] += row[im.K] * row[im.SY]
+    row[im.OWN_K] = row[im.K]
+    row[im.K] += drag(surface, share)
+
+
+@kernel
 def grasp(surface, parcel, work, law, e, h):
     """List the wheels that pull, with the law's coefficients at the loads that ``settle`` found. Returns how many.
 
@@ -248,58 +314,23 @@ def grasp(surface, parcel, work, law, e, h):
     those where the parcel's present velocity leads until then: a wheel that sticks all along sticks with the levers of
     the end, and so does the next step's.
     """
-    mem, y, wheels = parcel.mem, parcel.y, work.wheels
-    ahead_x, ahead_y = h * y[at.UX], h * y[at.UY]
-    press(surface, parcel, work, ahead_x, ahead_y)
-    arm = work.pace[im.GYRATION]
+    y = parcel.y
+    press(surface, parcel, work, h * y[at.UX], h * y[at.UY])
     # past the instant at which a support is lifted its load goes on falling, until the step is ended there
     held = law[im.WHEEL] == 0.0 or slips_jump(law)
     continues = work.pace[im.LOCATES] != 0.0 and held and foreseen(surface)
-    # a wheel that turns round does so at the end of a step: which way it runs is asked in the middle
-    midway = e * exp(0.5 * parcel.par[at.RATE] * h) if law[im.PUSH_PER_SHARE] != 0.0 and e > 0.0 else e
     count = at.ZERO
+    modes = 1 << parcel.ctl[at.N_GROUPS] if law[im.CAPTURES] == im.BY_MODES else 1
     for i in range(parcel.ctl[at.N_MEMBERS]):
-        cell = mem[i, at.CELL]
         if not pulls(surface, parcel, i):
             continue
-        rx, ry = surface.pos[cell, 0] - y[0], surface.pos[cell, 1] - y[1]
-        share, part = mean_share(surface, parcel, work, i, continues)
-        vx, vy = unloaded(surface, cell, e)
-        row = wheels[count]
-        row[im.CELL] = cell
-        row[im.AX], row[im.AY] = (ahead_y - ry) / arm, (rx - ahead_x) / arm
-        row[im.SX], row[im.SY] = law[im.FREE_SPEED] * vx, law[im.FREE_SPEED] * vy
-        row[im.SUMMED] = law[im.FREE_SPEED] * summed(surface, cell, e)
-        along_x, along_y = factor(surface, cell)
-        along_x *= share
-        along_y *= share
-        # infinite where wheels that feel what they pull let a set-valued force slow them
-        stiff = part * law[im.STIFFNESS] if law[im.STIFFNESS] < inf else inf
-        row[im.BX] = stiff + law[im.STIFFNESS_PER_SHARE] * along_x
-        row[im.BY] = stiff + law[im.STIFFNESS_PER_SHARE] * along_y
-        limit_x = part * law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_x
-        limit_y = part * law[im.LIMIT] + law[im.LIMIT_PER_SHARE] * along_y
-        row[im.CX], row[im.CY] = max(limit_x, 0.0), max(limit_y, 0.0)
-        row[im.GX] = row[im.GY] = push_x = push_y = 0.0
-        if law[im.PUSH_PER_SHARE] != 0.0:
-            vx, vy = unloaded(surface, cell, midway)
-            push_x, push_y = law[im.PUSH_PER_SHARE] * along_x, law[im.PUSH_PER_SHARE] * along_y
-            row[im.GX], row[im.GY] = push_x * sign(vx), push_y * sign(vy)
-        row[im.LX] = row[im.LY] = 0.0
-        row[im.K] = part * law[im.VISCOUS]
-        row[im.SLIPS] = 0.0
-        if law[im.LOCATED] == im.CONES:
-            hold_cone(surface, parcel, work, i, row, limit_x, e * exp(parcel.par[at.RATE] * h), h)
-        elif law[im.LOCATED] != 0.0:
-            hold_branches(mem, i, row, limit_x, limit_y, law[im.LOCATED] - im.KINKS)
-        if slips_jump(law) and h <= INSTANT:
-            keep_slips(surface, parcel, work, i, row, e * (1.0 + parcel.par[at.RATE] * h))
-        lighten(work, parcel, count, cell, push_x, push_y, h)
-        if law[im.VISCOUS] != 0.0:
-            row[im.GX] += row[im.K] * row[im.SX]
-            row[im.GY] += row[im.K] * row[im.SY]
-        row[im.K] += drag(surface, share)
-        count += 1
+        for m in range(modes):
+            if modes > 1:
+                share, part = share_in(surface, parcel, work, i, m, continues)
+            else:
+                share, part = mean_share(surface, parcel, work, i, continues)
+            list_wheels(surface, parcel, work, law, e, h, i, m, count, share, part)
+            count += 1
     return count
 
 
