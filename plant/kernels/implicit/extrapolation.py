@@ -46,7 +46,7 @@ MANY = 20.0
 """More support changes than this at once are chatter: steps across them need be no shorter than ..."""
 FRACTION_STEPS = 24
 FARTHEST = 1.0
-"""No fraction of wheels that feel what they pull is taken to be farther than this from [0, 1]."""
+"""Under ``wheel_load`` no trial fraction is farther than this from [0, 1]."""
 CHORDS = 4
 """So many of them share the slopes of the first."""
 NUDGE = 1e-2
@@ -107,7 +107,7 @@ def at_fractions(surface, parcel, work, e, h, w):
 
 @kernel
 def near(work, fraction):
-    """Keep a fraction that is sought from running away, and with it wheels that feel what they pull."""
+    """Limit a trial fraction: the speed of loaded wheels would run away with the fraction."""
     return max(-FARTHEST, min(1.0 + FARTHEST, fraction)) if work.law[im.WHEEL] != 0.0 else fraction
 
 
