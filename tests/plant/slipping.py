@@ -88,13 +88,15 @@ LOADED = {
     "wheel_load": {"inertia_kg": 0.05},
 }
 """Motors from rest, and wheels that feel what they pull."""
+HEAVY = LOADED | {"wheel_load": {"inertia_kg": 0.3}}
+"""So much inertia that motors make wheels give way that stick."""
 
 
 def solve_loaded_reference(seed: int) -> tuple[LoadedFilippov, Floats]:
-    """As ``solve_reference``, on wheels that feel what they pull (``LOADED``)."""
-    plant, drives = make_scene(seed, {"name": "implicit"}, effects=LOADED)
+    """As ``solve_reference``, on wheels that feel what they pull (``HEAVY``)."""
+    plant, drives = make_scene(seed, {"name": "implicit"}, effects=HEAVY)
     mass_kg = 2.0
-    reference = LoadedFilippov(bench(plant, 0.05 * drives, mu=MU), rate=20.0, lightness=mass_kg / 0.05)
+    reference = LoadedFilippov(bench(plant, 0.05 * drives, mu=MU), rate=20.0, lightness=mass_kg / 0.3)
     return reference, reference.run(plant.state[0], SPAN_S)[:6]
 
 

@@ -10,6 +10,7 @@ from tests.plant.filippov import Filippov, LiftedError
 from tests.plant.laws import CONE, COULOMB, DAMPED, MU, STATIC
 from tests.plant.scenes import SECOND, Floats, G, bench, parcel, solved
 from tests.plant.slipping import (
+    HEAVY,
     LOADED,
     controlled,
     distance_m_of,
@@ -71,15 +72,16 @@ def test_wheels_that_feel_their_load_keep_the_tolerance_against_a_reference_of_t
     request: pytest.FixtureRequest,
 ) -> None:
     kinds: list[str] = []
-    for seed in range(24 if request.config.getoption("nightly") else 3):
+    for seed in range(20 if request.config.getoption("nightly") else 3):
         reference, known = solve_loaded_reference(seed)
         kinds += [kind for _, kind, _ in reference.events]
         for tolerance in (1e-4, 1e-6, 1e-8):
-            assert off_m(seed, controlled(tolerance), known, effects=LOADED) <= 0.1 * tolerance, (
+            assert off_m(seed, controlled(tolerance), known, effects=HEAVY) <= 0.5 * tolerance, (
                 seed,
                 tolerance,
             )
-    assert kinds.count("slip ends") > 30
+    assert kinds.count("slip ends") > 20
+    assert kinds.count("stick ends") > 0
 
 
 @pytest.mark.slow
