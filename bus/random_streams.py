@@ -22,6 +22,17 @@ def rng(seed: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng(_entropy(seed, purpose))
 
 
+def stream_key(seed: int, purpose: str) -> tuple[int, int]:
+    """Return the key of a named stream for a counter-based generator: two words of 32 bits.
+
+    Args:
+        seed: Seed of the scene, >= 0.
+        purpose: Name of the stream.
+    """
+    first, second = np.random.SeedSequence(_entropy(seed, purpose)).generate_state(2, np.uint32).tolist()
+    return first, second
+
+
 @final
 class CounterStream:
     """Counter-based random stream: a number for each place and tick, a function of seed, purpose, tick and place.

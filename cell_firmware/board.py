@@ -27,6 +27,7 @@ from cell_firmware.firmware import (
     drafting,
 )
 from cell_firmware.message_tracer import TRACE, MessageTracer
+from cell_firmware.random_draws import CellStreams
 from cell_firmware.scalar import ScalarFirmware
 
 PROGRAM = "firmware"
@@ -88,9 +89,11 @@ class Board(Controller):
         links: Driver of the links; None where links deliver whole messages.
         meter: Counter of messages; None: messages are not counted.
         tracer: Record of messages; None: messages are not traced.
+        seed: Seed of the program's random numbers, the scene's.
 
     Attributes:
         parts: The parts by name.
+        streams: Random numbers of the program; None for a program that declares none.
     """
 
     def __init__(
@@ -100,8 +103,11 @@ class Board(Controller):
         links: LinkDriver | None = None,
         meter: MessageCounter | None = None,
         tracer: MessageTracer | None = None,
+        seed: int = 0,
     ) -> None:
         self.firmware = firmware
+        self.seed = seed
+        self.streams = CellStreams(firmware.random, seed) if firmware.random else None
         self.wheels = wheels
         self.links = links
         self.meter = meter
@@ -133,9 +139,16 @@ class Board(Controller):
         Raises:
             FirmwareFailed: The firmware's ``init`` raised, or made no arrays with a row per cell.
         """
-        program = self._begun(cells, "init", lambda rows: self.firmware.init(cells.select(rows)))
+        given = self._at_start(cells)
+        program = self._begun(cells, "init", lambda rows: self.firmware.init(given.select(rows)))
         parts = {name: read_only(part.init(cells)) for name, part in self.parts.items()}
         return ControllerState(cells, {PROGRAM: program, **parts})
+
+    def _at_start(self, cells: Cells) -> Cells:
+        """Return the cells as the program's ``init`` is given them."""
+        if self.streams is None:
+            return cells
+        return replace(cells, random=self.streams.at_start(cells.row, cells.column))
 
     def _begun(self, cells: Cells, what: str, make: Callable[[NDArray[np.int64]], Any]) -> State:
         """The program's state before its first step, of the cells of these rows together.
@@ -165,12 +178,13 @@ class Board(Controller):
     def reset(self, state: ControllerState, *, warm: bool = False) -> ControllerState:
         """Reset the program, as after power-on or by its ``warm_start``, and every part by its own ``reset``."""
         cells, memory = state.cells, state.parts[PROGRAM]
+        given = self._at_start(cells)
 
         def make(rows: NDArray[np.int64]) -> State:
             if not warm:
-                return self.firmware.init(cells.select(rows))
+                return self.firmware.init(given.select(rows))
             return self.firmware.warm_start(
-                cells.select(rows), {name: array[rows] for name, array in memory.items()}
+                given.select(rows), {name: array[rows] for name, array in memory.items()}
             )
 
         program = self._begun(cells, "warm_start" if warm else "init", make)
@@ -193,6 +207,8 @@ class Board(Controller):
     ) -> tuple[ControllerState, ControllerOutputs]:
         """One control period."""
         parts = dict(state.parts)
+        if self.streams is not None:
+            inputs = inputs.with_random(self.streams.of_tick(now.tick, state.cells.row, state.cells.column))
         done = self.step_program(now.tick, state.cells, parts[PROGRAM], inputs)
         parts[PROGRAM] = read_only(done.state)
         drive, outbox = done.speed_m_s, done.outbox

@@ -81,6 +81,7 @@ def build_controller(
     live: bool = False,
     metered: bool = False,
     traced: bool = False,
+    seed: int = 0,
 ) -> Controller:
     """Build the controller of the cells.
 
@@ -94,6 +95,7 @@ def build_controller(
         live: Whether faults may be injected at run time.
         metered: Whether every cell counts the messages of its program.
         traced: Whether every cell records the messages of its program; it has no compiled form then.
+        seed: Seed of the programs' random numbers, the scene's.
 
     Raises:
         SettingError: Settings of the board that don't go together.
@@ -104,6 +106,7 @@ def build_controller(
         _links(firmware, spec, effects, clocks, disturbed=live or faults is not None),
         MessageCounter() if metered and firmware.message is not None else None,
         MessageTracer(firmware.message) if traced and firmware.message is not None else None,
+        seed,
     )
     if effects.cop is not None:
         from cell_firmware.effects.cop.wrapper import WatchdogWrapper
@@ -135,6 +138,8 @@ def kernel_modules(controller: Controller, effects: CellEffects) -> tuple[str, .
     if controller.message_type is not None:
         modules.append("cell_firmware.kernels.messages")
     if isinstance(inside, Board):
+        if inside.streams is not None:
+            modules.append("cell_firmware.kernels.draws")
         if has_hardware(controller):
             modules.append("cell_firmware.kernels.board")
         if inside.firmware.kernels and has_kernels(controller):

@@ -31,6 +31,7 @@ from cell_firmware.firmware_files import modules_beside
 from cell_firmware.message_values import bounds, misfit
 from cell_firmware.plain_registers import registers_of, unrecorded
 from cell_firmware.program import Program, Theory
+from cell_firmware.random_draws import NO_DRAWS, Draws, no_draws
 
 Message = Mapping[str, Any]
 """One message: values by field name, as the firmware's message type declares them."""
@@ -49,6 +50,7 @@ class Cell:
         period_s: The control period, s.
         sensors_m: Its presence sensors, from its centre, m.
         pitch_m: Distance of neighbouring cells, m.
+        random: By name, random numbers of the cell in [0, 1) for ``init``, the same at every start of its program.
     """
 
     row: int
@@ -58,6 +60,7 @@ class Cell:
     period_s: float
     sensors_m: tuple[tuple[float, float], ...]
     pitch_m: float
+    random: Mapping[str, float] = field(default_factory=no_draws)
 
 
 @final
@@ -72,6 +75,7 @@ class CellInputs:
         level: How much of each sensor's spot is covered, 0 to 1; None unless sensors are analogue.
         label: Number of the exit that the parcel over the cell is meant for, 0 for none; None without scanners.
         camera: By number of the parcel, x, y (m) and angle (rad) of parcels in a camera frame; None without a frame.
+        random: By name, random numbers of the cell and tick in [0, 1), for the names that the program declares.
     """
 
     presence: tuple[bool, ...]
@@ -80,6 +84,7 @@ class CellInputs:
     level: tuple[float, ...] | None = None
     label: int | None = None
     camera: Mapping[int, tuple[float, float, float]] | None = None
+    random: Mapping[str, float] = field(default_factory=no_draws)
 
 
 @final
@@ -101,7 +106,7 @@ class CellOutputs:
 class CellFirmware(Program, ABC):
     """A cell's program in plain Python: one cell at a time, any state.
 
-    ``step`` is a function of its arguments: no clock, no chance, nothing shared between cells.
+    ``step`` is a function of its arguments: no clock, no chance but ``inputs.random``, nothing shared between cells.
     """
 
     @abstractmethod
@@ -144,6 +149,7 @@ class PerCellAdapter(Firmware):
         self.firmware = firmware
         self.observable = firmware.observable  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self.message = firmware.message  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
+        self.random = firmware.random  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self._fields = {} if self.message is None else _fields_of(self.message)
 
     @property
@@ -261,6 +267,7 @@ def _cell(cells: Cells, i: int) -> Cell:
         cells.period_s,
         tuple((x, y) for x, y in cells.sensors_m.tolist()),
         cells.pitch_m,
+        _random(cells.random, i),
     )
 
 
@@ -274,12 +281,23 @@ def _each_inputs(inputs: Inputs) -> Iterator[CellInputs]:
     inboxes: Iterable[dict[str, Message | None]]
     labels = nothing if inputs.label is None else inputs.label.tolist()
     inboxes = (dict.fromkeys(SIDES) for _ in nothing) if inputs.inbox is None else _inboxes(inputs.inbox)
-    for presence, encoder, inbox, level, label in zip(
-        presences, encoders, inboxes, levels, labels, strict=True
+    for presence, encoder, inbox, level, label, random in zip(
+        presences, encoders, inboxes, levels, labels, _randoms(inputs.random, n), strict=True
     ):
         # a frame of its own for each cell: a program may keep or change it
         camera = None if inputs.camera is None else _picture(inputs.camera)
-        yield CellInputs(presence, encoder, inbox, level, label, camera)
+        yield CellInputs(presence, encoder, inbox, level, label, camera, random)
+
+
+def _random(random: Mapping[str, Floats], i: int) -> Mapping[str, float]:
+    return Draws({name: float(numbers[i]) for name, numbers in random.items()}) if random else NO_DRAWS
+
+
+def _randoms(random: Mapping[str, Floats], n: int) -> Iterable[Mapping[str, float]]:
+    """Return the random numbers of each of n cells."""
+    if not random:
+        return [NO_DRAWS] * n
+    return (Draws(zip(random, row, strict=True)) for row in np.stack(list(random.values()), axis=1).tolist())
 
 
 def _picture(picture: CameraFrame) -> dict[int, tuple[float, float, float]]:

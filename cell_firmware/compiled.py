@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bus.wire.frames import check_message
 from cell_firmware.board import LINKS, METER, PROGRAM, WHEELS, Board, has_kernels
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime
-from cell_firmware.effects.clock.wrapper import LocalClockWrapper
+from cell_firmware.effects.clock.wrapper import LocalClockWrapper, in_tick
 from cell_firmware.effects.cop.wrapper import DIVIDER_NS, WatchdogWrapper
 from cell_firmware.firmware import Bools, Cells, Firmware, Inbox, Inputs, Messages, Outbox, State
 from cell_firmware.kernels import board as kernels
@@ -24,6 +24,7 @@ from cell_firmware.kernels.lines import LINE, LINES
 from cell_firmware.kernels.speed_loop import LOOP
 from cell_firmware.kernels.speed_loop import WHEELS as WHEELS_RECORD
 from cell_firmware.kernels.watchdog import WATCHDOG
+from cell_firmware.random_draws import CellStreams
 
 Bytes = NDArray[np.uint8]
 
@@ -97,7 +98,7 @@ class CompiledController(Controller):
     ) -> None:
         self._general = general
         self._board = board
-        self._program = Board(board.firmware)
+        self._program = Board(board.firmware, seed=board.seed)
         self._message, self._line = board.firmware.message, board.link_type
         self._slots = 0
         self.constants = self._described(board, clock, watchdog)
@@ -115,7 +116,7 @@ class CompiledController(Controller):
             boards["clock"] = True
             boards["period_ns"] = clock.clocks.clocks.period_ns
             boards["window_ns"] = clock.clocks.clocks.window_ns
-        self._watched = watchdog is not None
+        self._watched, self._clocked = watchdog is not None, clock is not None
         if watchdog is not None:
             boards["watchdog"] = True
             boards["timeout_ns"], boards["reboot_ns"] = watchdog.timeout_ns, watchdog.reboot_ns
@@ -159,6 +160,11 @@ class CompiledController(Controller):
         """The cells' program."""
         return self._board.firmware
 
+    @property
+    def streams(self) -> CellStreams | None:
+        """Random numbers of the program; None for a program that declares none."""
+        return self._board.streams
+
     def init(self, cells: Cells) -> ControllerState:
         """The state before tick 0, as the general controller's."""
         return self._general.init(cells)
@@ -200,10 +206,13 @@ class CompiledController(Controller):
         programs = ControllerState(cells, {PROGRAM: state.parts[PROGRAM]})
         if self._board.links is not None:
             inputs = inputs.with_inbox(Inbox(received, message))
+        # as by the wrapper of clocks: programs are stepped in the window before the exchange
+        then = StepTime(now.tick - 1, now.at_ns) if self._clocked else now
         if running == n:
-            programs, done = self._program.compute(now, programs, inputs)
+            programs, done = self._program.compute(then, programs, inputs)
         else:
-            programs, done = self._program.compute_rows(np.flatnonzero(runs), now, programs, inputs)
+            programs, done = self._program.compute_rows(np.flatnonzero(runs), then, programs, inputs)
+        failures = in_tick(now.tick, done.failures) if self._clocked else done.failures
         failed = np.zeros(n, dtype=np.bool_)
         if done.failures:
             failed[list(done.failures)] = True
@@ -220,8 +229,8 @@ class CompiledController(Controller):
         after = ControllerState(cells, {**state.parts, PROGRAM: programs.parts[PROGRAM]})
         outbox = done.outbox if self._board.links is None else Outbox(line_sent, line)
         if self._watched:  # a program that raised hangs
-            return after, ControllerOutputs(drive, outbox, hung=done.failures)
-        return after, ControllerOutputs(drive, outbox, done.failures)
+            return after, ControllerOutputs(drive, outbox, hung=failures)
+        return after, ControllerOutputs(drive, outbox, failures)
 
     def _lines_empty(self, n: int, kind: np.dtype[Any] | None) -> tuple[Bools, Messages]:
         """Zeros for what lines carry or bring; without lines a row, as messages pass whole."""

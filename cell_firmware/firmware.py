@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, final
 
 import numpy as np
@@ -15,6 +15,7 @@ from bus.lattice import SIDES, Lattice
 from bus.sensors import CameraFrame, Labels
 from cell_firmware.message_values import misfit
 from cell_firmware.program import Program
+from cell_firmware.random_draws import Draws, no_draws
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -31,6 +32,11 @@ def opaque_view(array: NDArray[Any]) -> NDArray[Any]:
 def take_rows(array: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
     """``array[rows]``, a tenth of its time for rows of several items."""
     return opaque_view(array).take(rows, axis=0).view(array.dtype)
+
+
+def select_draws(random: Mapping[str, Floats], rows: NDArray[np.int64]) -> Mapping[str, Floats]:
+    """Return the random numbers of ``rows``, in order."""
+    return Draws({name: numbers[rows] for name, numbers in random.items()}) if random else random
 
 
 def put_rows(array: NDArray[Any], rows: NDArray[np.int64], values: NDArray[Any]) -> None:
@@ -57,6 +63,7 @@ class Cells:
         period_s: The control period, s.
         sensors_m: ``(sensors, 2)``, where each cell has its presence sensors, from its centre, m.
         pitch_m: Distance of neighbouring cells, m.
+        random: By name, ``(n,)`` random numbers in [0, 1) for ``init``: always those of tick "before 0".
     """
 
     row: NDArray[np.int64]
@@ -66,6 +73,7 @@ class Cells:
     period_s: float
     sensors_m: Floats
     pitch_m: float
+    random: Mapping[str, Floats] = field(default_factory=no_draws)
 
     @property
     def sensors(self) -> int:
@@ -89,6 +97,7 @@ class Cells:
             self.period_s,
             self.sensors_m,
             self.pitch_m,
+            select_draws(self.random, indices),
         )
 
     @staticmethod
@@ -141,6 +150,7 @@ class Inputs:
         level: ``(n, sensors)``, how much of each sensor's spot is covered, 0 to 1; None unless sensors are analogue.
         label: ``(n,)``, number of the exit that the parcel over each cell is meant for, 0: none; None without scanners.
         camera: Frame of a camera, the same for all cells; None in ticks without a frame.
+        random: By name, ``(n,)`` random numbers of this tick in [0, 1), for the names that the program declares.
     """
 
     presence: Bools
@@ -149,15 +159,20 @@ class Inputs:
     level: Floats | None = None
     label: Labels | None = None
     camera: CameraFrame | None = None
+    random: Mapping[str, Floats] = field(default_factory=no_draws)
 
     # spelled out, as dataclasses.replace takes four times as long, and there are two a tick
     def with_presence(self, presence: Bools) -> Inputs:
         """Return these inputs with other presence bits."""
-        return Inputs(presence, self.encoder_m, self.inbox, self.level, self.label, self.camera)
+        return Inputs(presence, self.encoder_m, self.inbox, self.level, self.label, self.camera, self.random)
 
     def with_inbox(self, inbox: Inbox | None) -> Inputs:
         """Return these inputs with other messages."""
-        return Inputs(self.presence, self.encoder_m, inbox, self.level, self.label, self.camera)
+        return Inputs(self.presence, self.encoder_m, inbox, self.level, self.label, self.camera, self.random)
+
+    def with_random(self, random: Mapping[str, Floats]) -> Inputs:
+        """Return these inputs with other random numbers."""
+        return Inputs(self.presence, self.encoder_m, self.inbox, self.level, self.label, self.camera, random)
 
     def select(self, indices: NDArray[np.int64]) -> Inputs:
         """Select the inputs of ``indices``, in order."""
@@ -167,7 +182,8 @@ class Inputs:
         )
         level = None if self.level is None else take_rows(self.level, indices)
         label = None if self.label is None else take_rows(self.label, indices)
-        return Inputs(take_rows(self.presence, indices), encoder_m, inbox, level, label, self.camera)
+        presence, random = take_rows(self.presence, indices), select_draws(self.random, indices)
+        return Inputs(presence, encoder_m, inbox, level, label, self.camera, random)
 
 
 @final

@@ -226,7 +226,21 @@ def _checked(name: str, found: object) -> FirmwareClass:
         raise FirmwareError(f"firmware {name!r} does not define {' and '.join(missing)}")
     if found.message is not None:
         _check_message(name, found.message)
+    _check_random(name, found.random)
     return found
+
+
+def _check_random(name: str, random: object) -> None:
+    """Refuse names of random numbers that are no tuple of different identifiers."""
+    names: Any = random
+    if not (
+        isinstance(random, tuple)
+        and all(isinstance(one, str) and one.isidentifier() for one in names)
+        and len(set(names)) == len(names)
+    ):
+        raise FirmwareError(
+            f"firmware {name!r}: random must be a tuple of different names, such as ('backoff',), not {random!r}"
+        )
 
 
 def _check_message(name: str, message: object) -> None:

@@ -51,6 +51,8 @@ class Program:
     """What a scene may set in ``[cells.parameters]``."""
     message: ClassVar[np.dtype[Any] | None] = None
     """Little-endian structured type of a message between neighbours; None without messages."""
+    random: ClassVar[tuple[str, ...]] = ()
+    """Names of the random numbers that a cell is given in every tick; none are drawn without names."""
     kernels: ClassVar[str] = ""
     """Module of the kernels that step it, imported before processes of cells are forked; empty without kernels."""
     counters: ClassVar[Mapping[str, int]] = {}

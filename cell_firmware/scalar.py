@@ -64,7 +64,7 @@ class ScalarFirmware(Firmware):
         module = self.scalar_kernels()
         n = len(inputs.presence)
         records, after = state_records(module.STATE, state, n)
-        given = np.zeros(n, dtype=inputs_type(module.MESSAGE))
+        given = np.zeros(n, dtype=inputs_type(module.MESSAGE, self.random))
         given["sensors"] = inputs.presence.shape[1]
         given["presence"][:, : inputs.presence.shape[1]] = inputs.presence
         if inputs.level is not None:
@@ -73,6 +73,8 @@ class ScalarFirmware(Firmware):
             given["label"] = inputs.label
         if inputs.inbox is not None:
             given["received"], given["message"] = inputs.inbox.received, inputs.inbox.message
+        for name in self.random:
+            given["random"][name] = inputs.random[name]
         done = np.zeros(n, dtype=outputs_type(module.MESSAGE))
         done["served"] = 1
         self.run_rows(parameters_record(module.PARAMETERS, self.constants()), records, given, done)

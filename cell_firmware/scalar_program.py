@@ -88,7 +88,7 @@ class ScalarProgram(ScalarFirmware):
             FirmwareError: The step can't be compiled.
         """
         kind = type(self)
-        return _kernels(kind.cell_step, kind.constants_type, kind.state_type, self.message)
+        return _kernels(kind.cell_step, kind.constants_type, kind.state_type, self.message, self.random)
 
     def run_rows(
         self,
@@ -186,6 +186,7 @@ def _kernels(
     constants: np.dtype[Any],
     state: np.dtype[Any],
     message: np.dtype[Any] | None,
+    random: tuple[str, ...],
 ) -> ScalarKernels:
     from cell_firmware.kernels.program import NO_MESSAGE
     from cell_firmware.kernels.shard import compiled_program
@@ -193,7 +194,8 @@ def _kernels(
     compiled = cast("Callable[..., Any]", import_module("cell_firmware.kernels.jit").kernel)
     sent = NO_MESSAGE if message is None else message
     text = _text(step)
-    key = sha256("\0".join((text, *map(str, (constants.descr, state.descr, sent.descr)))).encode())
+    kinds = (constants.descr, state.descr, sent.descr, random)
+    key = sha256("\0".join((text, *map(str, kinds))).encode())
     # a module of the package of kernels, whose cache on disk it shares
     module = ModuleType(f"cell_firmware.kernels.users.p{key.hexdigest()[:16]}")
     sys.modules[module.__name__] = module
@@ -202,7 +204,7 @@ def _kernels(
         names[name] = compiled(_copy(function, module.__name__, names))
     try:
         tick, rows = compiled_program(
-            module.__name__, compiled(_copy(step, module.__name__, names)), constants, state, sent
+            module.__name__, compiled(_copy(step, module.__name__, names)), constants, state, sent, random
         )
     except Exception as error:  # noqa: BLE001 - a compiler's errors are of many types
         raise FirmwareError(

@@ -15,7 +15,7 @@ from cell_firmware.controller import ControllerState
 from cell_firmware.effects.base import InputFilter
 from cell_firmware.effects.sensor import Debounce
 from cell_firmware.errors import FirmwareFailed
-from cell_firmware.firmware import Bools, Floats, Messages, State
+from cell_firmware.firmware import Bools, Cells, Floats, Messages, State
 from cell_firmware.kernels import shard as kernels
 from cell_firmware.kernels.arguments import readable
 from cell_firmware.kernels.program import inputs_type, outputs_type
@@ -159,6 +159,7 @@ class ShardKernel:
         self._cells, self._sensors, self._period_ns = links.cells, sensors, period_ns
         self._debounce = debounce
         self._line = np.dtype(np.bool_) if controller.link_type is None else controller.link_type
+        self._streams, self._random = controller.streams, firmware.random
         self._parameters = parameters_record(module.PARAMETERS, firmware.constants())
         self._records: NDArray[Any] = np.zeros(0, dtype=module.STATE)
         self._program: State = {}
@@ -215,7 +216,7 @@ class ShardKernel:
         self._owned = []
         self._bind_boards(fields, hardware)
         self._bind_links(fields, rows, outbox)
-        self._bind_program(fields, live)
+        self._bind_program(fields, state.cells)
         self._bind_sensors(fields)
         fields |= {name: self._address(array) for name, array in self.buffers.by_name().items()}
         for name, value in fields.items():
@@ -320,8 +321,13 @@ class ShardKernel:
         fields["line_received"] = self._address(np.zeros(4, dtype=np.bool_))
         fields["line"] = self._address(np.zeros(4, dtype=self._line))
 
-    def _bind_program(self, fields: dict[str, Any], live: int) -> None:
-        inputs = np.zeros(1, dtype=inputs_type(self._module.MESSAGE))
+    def _bind_program(self, fields: dict[str, Any], cells: Cells) -> None:
+        live = len(cells)
+        inputs = np.zeros(1, dtype=inputs_type(self._module.MESSAGE, self._random))
+        if self._streams is not None:
+            fields["inputs_random"] = inputs["random"].ctypes.data
+            fields["random_keys"] = self._address(self._streams.keys)
+            fields["places"] = self._address(np.stack((cells.row, cells.column), axis=1))
         inputs["sensors"] = self._sensors
         outputs = np.zeros(1, dtype=outputs_type(self._module.MESSAGE))
         fields["inputs"] = self._address(inputs)

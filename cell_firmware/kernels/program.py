@@ -12,14 +12,16 @@ NO_MESSAGE = np.dtype([("none", "u1")])
 """Type in place of the messages of a program that has none."""
 
 
-def inputs_type(message: np.dtype[Any]) -> np.dtype[Any]:
+def inputs_type(message: np.dtype[Any], random: tuple[str, ...] = ()) -> np.dtype[Any]:
     """Return the type of a step's inputs, for a type of messages; truth values are bytes, 0 or 1.
 
     ``sensors`` says how many of ``presence`` and ``level`` there are; ``level`` and ``label`` are zero in a scene
-    without analogue sensors and scanners. Sides are in the order north, east, south, west.
+    without analogue sensors and scanners. Sides are in the order north, east, south, west. ``random`` is a record of
+    the random numbers by name, and absent for a program that declares none.
     """
     return np.dtype(
         [
+            *([("random", [(name, "<f8") for name in random])] if random else ()),
             ("sensors", "<i8"),
             ("level", "<f8", (MOST_SENSORS,)),
             ("label", "<i8"),

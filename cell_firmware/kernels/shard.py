@@ -16,6 +16,7 @@ from cell_firmware.kernels import lines
 from cell_firmware.kernels.cell import BOARD, METER, begin_cell, end_cell, read_ns, window_of
 from cell_firmware.kernels.clock import CLOCK, count_before, due
 from cell_firmware.kernels.debounce import debounced
+from cell_firmware.kernels.draws import draw_cell
 from cell_firmware.kernels.jit import INTEGER, entry, kernel, read, written
 from cell_firmware.kernels.memory import array_at
 from cell_firmware.kernels.messages import clear, copy
@@ -30,6 +31,7 @@ BOOL = np.dtype(np.bool_)
 BYTE = np.dtype(np.uint8)
 LONG = np.dtype(np.int64)
 DOUBLE = np.dtype(np.float64)
+WORDS = np.dtype(np.uint64)
 
 SHARD = np.dtype(
     [
@@ -81,6 +83,9 @@ SHARD = np.dtype(
             "inputs",  # (1,) of inputs_type; "received" and "message" once more as bytes
             "inputs_received",
             "inputs_message",
+            "inputs_random",  # (names,), the same memory as inputs.random; 0 without random numbers
+            "random_keys",  # (names, 2) of WORDS
+            "places",  # (a, 2): row and column of each live cell
             "outputs",  # (1,) of outputs_type; likewise
             "outputs_sent",
             "outputs_message",
@@ -104,7 +109,9 @@ STATE: Any = None
 INPUTS: Any = None
 OUTPUTS: Any = None
 SIZE: Any = None
-"""A program's step, its types, and the bytes of its messages: see ``compiled_program``."""
+RANDOM: Any = None
+"""A program's step, its types, the bytes of its messages, and how many random numbers it has: see
+``compiled_program``."""
 
 
 def run_rows(parameters, states, inputs, outputs):
@@ -250,6 +257,9 @@ def run_tick(tick, shards):
     failed, speed = array_at(s.failed, live, BOOL), array_at(s.speed, (live, 2), DOUBLE)
     believed = array_at(s.believed, (n, s.sensors), BOOL)
     readings = array_at(s.readings, (n, s.sensors), LONG)
+    if RANDOM:  # a constant to the compiler
+        random, keys = array_at(s.inputs_random, RANDOM, DOUBLE), array_at(s.random_keys, (RANDOM, 2), WORDS)
+        places = array_at(s.places, (live, 2), LONG)
     # what links carry: lines put a head before a message; the sizes are constants to the compiler
     lined, lined_next = (
         array_at(before, (4 * n, SIZE + lines.HEAD), BYTE),
@@ -286,6 +296,8 @@ def run_tick(tick, shards):
         outputs.served = 1
         failed[i] = False
         if runs:
+            if RANDOM:
+                draw_cell(keys, window + 1, places[i], random)
             step(parameters[0], states[i], inputs, outputs)
             if not (np.isfinite(wanted[0]) and np.isfinite(wanted[1])):
                 failed[i] = True
@@ -324,6 +336,7 @@ def compiled_program(
     parameters: np.dtype[Any],
     state: np.dtype[Any],
     message: np.dtype[Any],
+    random: tuple[str, ...] = (),
 ) -> tuple[Any, Any]:
     """Compile ``run_tick`` and ``run_rows`` for a program, or load them from disk.
 
@@ -333,11 +346,12 @@ def compiled_program(
         parameters: Type of the record of its constants.
         state: Type of the record of a cell's state.
         message: Type of its messages.
+        random: Names of its random numbers.
 
     Returns:
         Both entry points.
     """
-    inputs, outputs = inputs_type(message), outputs_type(message)
+    inputs, outputs = inputs_type(message, random), outputs_type(message)
     names = {
         "step": step,
         "PARAMETERS": parameters,
@@ -345,6 +359,7 @@ def compiled_program(
         "INPUTS": inputs,
         "OUTPUTS": outputs,
         "SIZE": message.itemsize,
+        "RANDOM": len(random),
     }
     tick = entry(INTEGER, written(SHARD, 1))(_for_program(run_tick, module, names))
     rows = entry(read(parameters, 1), written(state, 1), written(inputs, 1), written(outputs, 1))(

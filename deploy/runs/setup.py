@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
@@ -96,12 +96,17 @@ def register_warnings(scene: Scene) -> tuple[str, ...]:
     """Return a warning if not all of a program's variables can be recorded as registers."""
     from cell_firmware.cell import PerCellAdapter
     from cell_firmware.loader import load
+    from cell_firmware.random_draws import CellStreams
 
     firmware = load(scene.cells)
     if not isinstance(firmware, PerCellAdapter):
         return ()
     try:
-        problem = firmware.unrecorded(_first_cell(scene))
+        cell = _first_cell(scene)
+        if firmware.random:
+            streams = CellStreams(firmware.random, scene.seed)
+            cell = replace(cell, random=streams.at_start(cell.row, cell.column))
+        problem = firmware.unrecorded(cell)
     except Exception:  # noqa: BLE001 - its cells fail as they begin, and say with what
         return ()
     return () if problem is None else (f"--registers: {Path(scene.cells.firmware).name}: {problem}",)

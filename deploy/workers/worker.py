@@ -292,6 +292,7 @@ def make_controller(
         live=live,
         metered=metered,
         traced=traced,
+        seed=scene.seed,
     )
 
 

@@ -74,12 +74,12 @@ class LocalClockWrapper(ControllerWrapper):
             ControllerOutputs(
                 drive,
                 outputs.outbox,
-                _in_tick(now.tick, outputs.failures),
-                hung=_in_tick(now.tick, outputs.hung),
+                in_tick(now.tick, outputs.failures),
+                hung=in_tick(now.tick, outputs.hung),
             ),
         )
 
 
-def _in_tick(tick: int, failures: Mapping[int, FirmwareFailed]) -> dict[int, FirmwareFailed]:
+def in_tick(tick: int, failures: Mapping[int, FirmwareFailed]) -> dict[int, FirmwareFailed]:
     """Return the failures, dated by the exchange ``tick`` in which they came out."""
     return {i: FirmwareFailed(one.cell, tick, one.problem, one.trace) for i, one in failures.items()}
