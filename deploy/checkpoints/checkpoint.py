@@ -13,7 +13,7 @@ from bus.state_codec import decode, encode
 from deploy.errors import InputError
 
 MAGIC: Final = b"MDMS checkpoint\n"
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Raised when older checkpoints can no longer be read."""
 LARGEST_BYTES: Final = 4 << 30
 _HEAD: Final = len(MAGIC) + 2 + sha256().digest_size

@@ -19,6 +19,7 @@ COMMANDS = {
     "control": "Pause, step, speed up, reset or stop a running system.",
     "check": "Search for faults that break a protocol's conditions, exhaustively in small worlds.",
     "constants": "Print the constants of motion of a pose: equilibrium, loads, torque.",
+    "diff": "Compare two recordings: the first tick, cell and quantity that differ.",
     "export": "Write a recording in the formats of other tools: netCDF, Parquet, CSV, Foxglove.",
     "fault": "Inject a fault into a running system, or repair a fault.",
     "effects": "Show additions, cost and influence of every effect; a ladder of fidelity.",

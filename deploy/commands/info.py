@@ -81,6 +81,8 @@ def _rows(found: RecordingInfo) -> Iterator[tuple[str, str]]:
     yield "status", found.status or "cut before the end of the run"
     if found.digest:
         yield "digest", found.digest
+    if found.motion_digest:
+        yield "motion", found.motion_digest
     for name, counts in (("events", found.events), ("commands", found.commands)):
         if counts:
             yield name, ", ".join(f"{number:,} {kind}" for kind, number in sorted(counts.items()))

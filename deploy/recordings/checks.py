@@ -70,9 +70,18 @@ class _Turning(_Record):
     cells: list[_Place]
 
 
-class _End(BaseModel):
+class RunEnd(BaseModel):
+    """End record of a run.
+
+    Attributes:
+        status: Final status.
+        digest: Digest, in hexadecimal; None without one.
+        motion_digest: Motion digest; None without one.
+    """
+
     status: str
     digest: str | None
+    motion_digest: str | None = None
 
 
 def check_header(header: object) -> Header:
@@ -127,14 +136,13 @@ def check_traffic(events: Sequence[Mapping[str, Any]], parcels: int) -> None:
                 raise ValueError(f"an event {event['kind']} must name one of {parcels} parcels")
 
 
-def check_end(record: object) -> tuple[str, str | None]:
-    """Check the end record of a run, and return its status and digest.
+def check_end(record: object) -> RunEnd:
+    """Check the end record of a run, and return it.
 
     Raises:
         ValueError: Names the field and the rule.
     """
-    end = _check("the end", _End, record)
-    return end.status, end.digest
+    return _check("the end", RunEnd, record)
 
 
 def _check(what: str, kind: type[_Part], value: object) -> _Part:

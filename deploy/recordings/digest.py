@@ -1,4 +1,4 @@
-"""The chained digest of a run: two runs with the same digest did the same thing, bit for bit."""
+"""The chained digests of a run: of two runs with the same digest the same happened, bit for bit."""
 
 from __future__ import annotations
 
@@ -25,19 +25,22 @@ class Digest:
     are the whole state, so a checkpoint carries them. The bytes of a tick, little-endian: the tick as
     uint64; the presence bits in row-major cell order, a cell's sensors side by side, bit i of the row in
     bit i mod 8 of byte i div 8 and the last byte filled with zeros; the drives as float64; the parcel
-    states as float64. Minus zero is written as zero.
+    states as float64. Minus zero is written as zero. The motion digest is the same chain from
+    ``m_0 = SHA256("")``: of two runs with the same one the same happened, whatever their scenes say.
 
     Args:
         description: Canonical bytes of what is run: scene, seed and versions of the formats, without
             anything that may differ between equal runs (partition, transport, paths, wall clock).
     """
 
-    __slots__ = ("_drives", "_numbers", "_parcels", "value")
-    state_fields: ClassVar[StateFields] = StateFields("value")
+    __slots__ = ("_drives", "_numbers", "_parcels", "motion", "value")
+    state_fields: ClassVar[StateFields] = StateFields("value", "motion")
 
     def __init__(self, description: bytes) -> None:
         self.value: bytes = sha256(description).digest()
         """The chain so far, 32 bytes."""
+        self.motion: bytes = sha256().digest()
+        """The chain of the motion digest so far, 32 bytes."""
         self._resize((0, 2), (0, 6))
 
     def _resize(self, drives: tuple[int, ...], parcels: tuple[int, ...]) -> None:
@@ -51,6 +54,11 @@ class Digest:
     def hexdigest(self) -> str:
         """The chain so far, 64 hexadecimal digits."""
         return self.value.hex()
+
+    @property
+    def motion_hexdigest(self) -> str:
+        """The motion digest so far, 64 hexadecimal digits."""
+        return self.motion.hex()
 
     def tick(
         self,
@@ -78,10 +86,16 @@ class Digest:
         # A maximum is NaN if one number is: one cheap check a tick.
         if isnan(np.maximum.reduce(self._numbers, initial=-np.inf)):
             raise _found_nan(tick, drives, parcels)
-        bits = np.packbits(presence, bitorder="little").tobytes()
-        chain = sha256(b"".join((self.value, tick.to_bytes(8, "little"), bits)))
-        chain.update(self._numbers.data)
-        self.value = chain.digest()
+        head = tick.to_bytes(8, "little") + np.packbits(presence, bitorder="little").tobytes()
+        self.value = continued(self.value, head, self._numbers)
+        self.motion = continued(self.motion, head, self._numbers)
+
+
+def continued(chain: bytes, head: bytes, numbers: NDArray[np.float64]) -> bytes:
+    """Return a chain after one more tick: its bytes are those of ``head``, then of ``numbers``."""
+    link = sha256(chain + head)
+    link.update(numbers.data)
+    return link.digest()
 
 
 def _found_nan(tick: int, drives: NDArray[np.float64], parcels: NDArray[np.float64]) -> DeployError:

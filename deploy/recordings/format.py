@@ -121,6 +121,10 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             "ticks": {"type": "integer"},
             "time_s": _TIME_S,
             "digest": _said("chained SHA-256 of the run, hexadecimal", ["string", "null"]),
+            "motion_digest": _said(
+                "the same of sensor bits, drives and parcel states alone, without the scene",
+                ["string", "null"],
+            ),
         },
         ["status", "ticks", "time_s", "digest"],
     ),

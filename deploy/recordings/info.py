@@ -61,6 +61,7 @@ class RecordingInfo:
         complete: Whether the recording holds the whole of its run.
         status: Final status of the run; None if the recording was cut before its end.
         digest: Digest of the run; None if the recording was cut or has none.
+        motion_digest: Digest of sensor bits, drives and parcel states alone; None if the recording has none.
         topics: Topics of the file.
         events: Number of events of the plant, by kind.
         faults: Recorded faults and losses.
@@ -85,6 +86,7 @@ class RecordingInfo:
     complete: bool
     status: str | None
     digest: str | None
+    motion_digest: str | None
     topics: tuple[TopicInfo, ...]
     events: Mapping[str, int]
     faults: tuple[Mapping[str, Any], ...]
@@ -154,7 +156,7 @@ def _info(path: Path) -> RecordingInfo:
             header = decode_header(path, record) or header
     if header is None:
         raise InputError(f"can't read the recording {path}: it holds no complete header")
-    status, digest = (None, None) if tally.end is None else check_end(tally.end)
+    end = None if tally.end is None else check_end(tally.end)
     unpack = cast(Callable[[bytes], Any], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
     return RecordingInfo(
         path=path,
@@ -172,9 +174,10 @@ def _info(path: Path) -> RecordingInfo:
         instants=tally.messages[TICK],
         ticks=None if tally.last_tick is None else int(unpack(tally.last_tick)["tick"]),
         time_s=tally.last_ns * 1e-9,
-        complete=status is not None,
-        status=status,
-        digest=digest,
+        complete=end is not None,
+        status=None if end is None else end.status,
+        digest=None if end is None else end.digest,
+        motion_digest=None if end is None else end.motion_digest,
         topics=_topics(declared, tally),
         events=dict(tally.events),
         faults=tuple(check_faults(tally.faults)),

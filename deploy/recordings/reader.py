@@ -135,6 +135,7 @@ class Recording:
         control: Live commands.
         status: Final status of the run; None where the recording was cut before its end record.
         digest: Digest of the run, in hexadecimal; None where the recording has none.
+        motion_digest: Digest of sensor bits, drives and parcel states alone; None where the recording has none.
     """
 
     path: Path
@@ -156,6 +157,7 @@ class Recording:
     control: Sequence[dict[str, Any]]
     status: str | None
     digest: str | None
+    motion_digest: str | None = None
 
     @property
     def complete(self) -> bool:
@@ -377,7 +379,7 @@ def _load(path: Path) -> Recording:
             header = decode_header(path, record) or header
     if header is None:
         raise InputError(f"can't read the recording {path}: it holds no complete header")
-    status, digest = check_end(logs[END][-1]) if logs[END] else (None, None)
+    end = check_end(logs[END][-1]) if logs[END] else None
     events = check_records(logs[EVENTS])
     check_traffic(events, len(header["footprints_m"]))
     return Recording(
@@ -386,8 +388,9 @@ def _load(path: Path) -> Recording:
         events=events,
         faults=check_faults(logs[FAULTS]),
         control=check_records(logs[CONTROL]),
-        status=status,
-        digest=digest,
+        status=None if end is None else end.status,
+        digest=None if end is None else end.digest,
+        motion_digest=None if end is None else end.motion_digest,
         register_tick=np.array([message["tick"] for message in shown], dtype=np.int64),
         registers=_stacked(shown, "registers"),
         message_tick=np.array([message["tick"] for message in sent], dtype=np.int64),

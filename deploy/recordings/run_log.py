@@ -120,6 +120,11 @@ class RunLog:
         """Digest of the run so far, in hexadecimal."""
         return self._digest.hexdigest
 
+    @property
+    def motion_digest(self) -> str:
+        """Motion digest of the run so far, in hexadecimal."""
+        return self._digest.motion_hexdigest
+
     def inject(self, fault: FaultInstance[FaultSpec]) -> None:
         """Add a fault that begins in a tick not yet logged."""
         self._injected.append(fault)

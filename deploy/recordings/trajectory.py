@@ -57,10 +57,10 @@ class TrajectoryRecorder:
         """Record a fault."""
         self._recorder.fault(fault)
 
-    def close(self, status: str, digest: str) -> None:
+    def close(self, status: str, digest: str, motion_digest: str) -> None:
         """Record the last row as the end of the run, and finish the file."""
         self._write(end=True)
-        self._recorder.close(status, digest)
+        self._recorder.close(status, digest, motion_digest)
 
     def _write(self, *, end: bool) -> None:
         if self._waiting is None:

@@ -236,16 +236,23 @@ class Recorder:
             raise DeployError(f"can't write the recording {self.path} up to the checkpoint")
         self._file.sync()
 
-    def close(self, status: str, digest: str | None = None) -> None:
+    def close(self, status: str, digest: str | None = None, motion_digest: str | None = None) -> None:
         """Write the end record and finish the file; a second call does nothing.
 
         Args:
             status: ``ok``, ``failed``, ``stalled``, ``unstable`` or ``interrupted``.
             digest: Digest of the run, in hexadecimal; None without one.
+            motion_digest: Its motion digest; None without one.
         """
         if self._closing:
             return
-        end = {"status": status, "ticks": self._ticks, "time_s": self._time_ns * 1e-9, "digest": digest}
+        end = {
+            "status": status,
+            "ticks": self._ticks,
+            "time_s": self._time_ns * 1e-9,
+            "digest": digest,
+            "motion_digest": motion_digest,
+        }
         try:
             self._put(END, self._time_ns, json_bytes(end))
         finally:

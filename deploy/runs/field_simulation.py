@@ -243,7 +243,7 @@ class _FieldSimulation:
                 )
         wall_s = time.monotonic() - started - self.aside_s
         summary = self._summary(plant, folder, wall_s, started - self.begun)
-        self.recording.close(self.status, self.digest.hexdigest)
+        self.recording.close(self.status, self.digest.hexdigest, self.digest.motion_hexdigest)
         summary.write(folder)
         if picture and self.status != "interrupted":
             track = self._track(plant)
@@ -360,6 +360,7 @@ class _FieldSimulation:
             feeders=plant.traffic(),
             warnings=self.warnings,
             digest=self.digest.hexdigest,
+            motion_digest=self.digest.motion_hexdigest,
             output=str(folder),
         )
 

@@ -218,6 +218,7 @@ def summary_of(
         protocol=protocol,
         check=check,
         digest=run_log.digest,
+        motion_digest=run_log.motion_digest,
         resumed=resumed,
         output=str(folder),
     )

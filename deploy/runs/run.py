@@ -210,13 +210,13 @@ class _Run:
             with advertise(run, system.locator, folder):
                 self.result = execution.run(self.begun)
             self.checker = execution.checker
-            self._close(recorder, run_log.digest)
+            self._close(recorder, run_log)
         return run_log, refused
 
-    def _close(self, recorder: Recorder, digest: str) -> None:
+    def _close(self, recorder: Recorder, run_log: RunLog) -> None:
         """End the recording; a write error fails the run."""
         try:
-            recorder.close(self.result.status, digest)
+            recorder.close(self.result.status, run_log.digest, run_log.motion_digest)
         except DeployError as error:
             if self.result.status == "ok":
                 self.result.end("failed", str(error))

@@ -134,6 +134,8 @@ class Summary:
         check: Violations of the program's invariants: ``violations``, ``by_rule``, and the ``first`` of them; None
             unless requested.
         digest: See ``deploy/recordings/digest.py``; None where there is none.
+        motion_digest: Digest of sensor bits, drives and parcel states alone, without the scene; None where there is
+            none.
         resumed: Ticks before which the run was taken up again from a checkpoint, in order; what was done twice counts
             once, in ``wall_s`` too.
         output: The folder with everything the run left behind; None where it left nothing.
@@ -167,6 +169,7 @@ class Summary:
     protocol: ProtocolReport | None = None
     check: Mapping[str, Any] | None = None
     digest: str | None = None
+    motion_digest: str | None = None
     resumed: Sequence[int] = ()
     output: str | None = None
     reason: str | None = None
@@ -186,7 +189,7 @@ class Summary:
         numbers = asdict(self)
         numbers["ticks_per_s"] = self.ticks_per_s
         numbers["realtime_factor"] = self.realtime_factor
-        return _finite(numbers)
+        return finite(numbers)
 
     def to_json(self, indent: int | None = None) -> str:
         """Return the JSON object as text."""
@@ -203,16 +206,16 @@ class Summary:
         return path
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """Convert a value to JSON's types, with None for NaN and infinity."""
     if isinstance(value, float):
         return value if isfinite(value) else None
     if isinstance(value, np.ndarray | np.generic):
-        return _finite(value.tolist())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+        return finite(value.tolist())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        return {str(key): finite(item) for key, item in value.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]  # pyright: ignore[reportUnknownVariableType]
+        return [finite(item) for item in value]  # pyright: ignore[reportUnknownVariableType]
     return value
 
 

@@ -105,6 +105,8 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
         lines += _traffic(summary.feeders)
     if summary.digest:
         lines.append(("digest", summary.digest))
+    if summary.motion_digest:
+        lines.append(("motion", summary.motion_digest))
     if summary.output:
         lines.append(("output", summary.output))
     return lines

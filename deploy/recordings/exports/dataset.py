@@ -55,6 +55,7 @@ def to_xarray(recording: RecordingSource) -> xarray.Dataset:
             "scene": recording.header["scene_name"],
             "status": recording.status or "cut",
             "digest": recording.digest or "",
+            "motion_digest": recording.motion_digest or "",
             "period_ns": np.int64(recording.header["period_ns"]),
             "pitch_m": recording.header["pitch_m"],
         },

@@ -62,6 +62,8 @@ class RecordingSource(Protocol):
     def status(self) -> str | None: ...  # noqa: D102
     @property
     def digest(self) -> str | None: ...  # noqa: D102
+    @property
+    def motion_digest(self) -> str | None: ...  # noqa: D102
 
     def tractions(self, instant: int) -> ArrayTractions:
         """Compute loads, slips and tractions at one instant."""

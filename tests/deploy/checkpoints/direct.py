@@ -35,10 +35,10 @@ class DirectRun:
 
     def remember(self) -> tuple[bytes, bytes, bytes]:
         """Plant, cells, digest."""
-        return (*self.simulation.save_state(), self.digest.value)
+        return (*self.simulation.save_state(), self.digest.value, self.digest.motion)
 
     def recall(self, memory: tuple[bytes, bytes, bytes]) -> DirectRun:
         """Go back, in a new run."""
         self.simulation.load_state(memory[:2])
-        self.digest.value = memory[2]
+        self.digest.value, self.digest.motion = memory[2:]
         return self

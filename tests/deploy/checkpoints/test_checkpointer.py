@@ -29,7 +29,7 @@ class Books:
         self.given_up = 0
 
     state_fields = Digest.state_fields
-    value = bytes(32)
+    value = motion = bytes(32)
 
     def request_snapshot(self, tick: int) -> None:
         self.requested.append(tick)

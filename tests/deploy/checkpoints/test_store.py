@@ -180,7 +180,7 @@ def test_where_none_is_whole_what_is_the_matter_with_each_is_said(tmp_path: Path
 
 
 def test_another_format_is_refused_by_its_number() -> None:
-    with pytest.raises(InputError, match="of format 7: this version reads format 2"):
+    with pytest.raises(InputError, match="of format 7: this version reads format 3"):
         Checkpoint.from_bytes(MAGIC + (7).to_bytes(2, "little") + CONTENT[len(MAGIC) + 2 :])
 
 

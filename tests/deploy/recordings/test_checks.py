@@ -85,7 +85,8 @@ def test_whatever_comes_or_leaves_is_one_of_the_parcels(parcel: object) -> None:
 
 
 def test_an_end_has_a_status_and_perhaps_a_digest() -> None:
-    assert check_end({"status": "ok", "digest": None}) == ("ok", None)
+    end = check_end({"status": "ok", "digest": None})
+    assert (end.status, end.digest, end.motion_digest) == ("ok", None, None)
     for end in ({"status": "ok"}, {"status": 1, "digest": "a"}, {"status": "ok", "digest": 1}):
         with pytest.raises(ValueError, match=r"^the end: "):
             check_end(end)

@@ -27,6 +27,17 @@ def test_the_chain_is_what_a_hand_computed_chain_of_sha256_gives() -> None:
     assert digest.hexdigest == expected
 
 
+def test_the_motion_digest_is_the_same_chain_without_the_scene() -> None:
+    one, other = Digest(b"scene"), Digest(b"another")
+    assert one.motion_hexdigest == sha256(b"").hexdigest()
+    for digest in (one, other):
+        digest.tick(0, PRESENCE, DRIVES, PARCELS)
+    first = struct.pack("<QB12d", 0, 0b110001, 0.5, -0.25, 0, 1, 3, 4, 1, 2, 3, 4, 5, 6)
+    assert one.motion_hexdigest == sha256(sha256(b"").digest() + first).hexdigest()
+    assert other.motion_hexdigest == one.motion_hexdigest
+    assert other.hexdigest != one.hexdigest
+
+
 def test_before_the_first_tick_it_is_the_digest_of_the_description() -> None:
     assert Digest(b"scene").hexdigest == sha256(b"scene").hexdigest()
 
@@ -50,6 +61,7 @@ def test_the_smallest_change_of_anything_changes_it(changed: str) -> None:
     one.tick(0, PRESENCE, DRIVES, PARCELS)
     other.tick(1 if changed == "tick" else 0, presence, drives, parcels)
     assert one.hexdigest != other.hexdigest
+    assert one.motion_hexdigest != other.motion_hexdigest
 
 
 def test_views_and_other_memory_orders_of_the_same_numbers_agree() -> None:
@@ -69,6 +81,7 @@ def test_a_checkpoint_carries_the_chain_on() -> None:
     for digest in (whole, resumed):
         digest.tick(1, PRESENCE, DRIVES, PARCELS)
     assert resumed.hexdigest == whole.hexdigest
+    assert resumed.motion_hexdigest == whole.motion_hexdigest
 
 
 def test_a_nan_drive_is_named_as_a_bug_with_its_tick_and_place() -> None:
