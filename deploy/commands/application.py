@@ -16,6 +16,7 @@ COMMANDS = {
     "simulate": "Simulate the plant alone, with wheel speeds straight from the scene's field.",
     "accuracy": "Measure the cost of accuracy in time: every solver against a reference.",
     "campaign": "Run a scene over seeds, faults and parameters: one table, one plot.",
+    "check-firmware": "Check what makes a program depend on how it is run.",
     "control": "Pause, step, speed up, reset or stop a running system.",
     "check": "Search for faults that break a protocol's conditions, exhaustively in small worlds.",
     "constants": "Print the constants of motion of a pose: equilibrium, loads, torque.",
@@ -33,7 +34,8 @@ COMMANDS = {
     "view": "Show a run in progress or a recording in the browser: run, pause, step, break cells.",
     "warm": "Compile the kernels of scenes ahead of their first run.",
 }
-"""Every command and its line in the list; command NAME is function NAME of ``deploy.commands.NAME``."""
+"""Every command and its line in the list; command NAME is function NAME of ``deploy.commands.NAME``,
+with ``_`` for ``-``."""
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
@@ -142,7 +144,8 @@ def _top(*, version: _Version = False) -> None:
 
 
 def _function(name: str) -> Any:
-    return getattr(importlib.import_module(f"deploy.commands.{name}"), name)
+    module = name.replace("-", "_")
+    return getattr(importlib.import_module(f"deploy.commands.{module}"), module)
 
 
 def _not_imported() -> None:

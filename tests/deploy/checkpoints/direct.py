@@ -33,11 +33,11 @@ class DirectRun:
             assert self.simulation.step() is not None
         return self
 
-    def remember(self) -> tuple[bytes, bytes, bytes]:
+    def remember(self) -> tuple[bytes, bytes, bytes, bytes]:
         """Plant, cells, digest."""
         return (*self.simulation.save_state(), self.digest.value, self.digest.motion)
 
-    def recall(self, memory: tuple[bytes, bytes, bytes]) -> DirectRun:
+    def recall(self, memory: tuple[bytes, bytes, bytes, bytes]) -> DirectRun:
         """Go back, in a new run."""
         self.simulation.load_state(memory[:2])
         self.digest.value, self.digest.motion = memory[2:]
