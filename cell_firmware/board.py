@@ -29,6 +29,7 @@ from cell_firmware.firmware import (
 from cell_firmware.message_tracer import TRACE, MessageTracer
 from cell_firmware.random_draws import CellStreams
 from cell_firmware.scalar import ScalarFirmware
+from cell_firmware.stepping import NOW
 
 PROGRAM = "firmware"
 WHEELS = "speed_loop"
@@ -267,11 +268,16 @@ class Board(Controller):
             inputs: Their inputs.
         """
         n = len(cells)
+        NOW.tick, NOW.row, NOW.column, NOW.index = tick, cells.row, cells.column, -1
+        if NOW.observe is not None:
+            NOW.observe(tick, cells.row, cells.column, self.firmware, before, inputs)
         try:
             with drafting(self.firmware, self._draft):
                 result = self.firmware.step(before, inputs)
+            NOW.row = None
             state, outputs = _checked(result, before, self.firmware.message, n)
         except BaseException as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
+            NOW.row = None
             problem, trace = _described(error)
             if n == 1:
                 failed = FirmwareFailed(cells.name(0), tick, problem, trace)

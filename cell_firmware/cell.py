@@ -32,6 +32,7 @@ from cell_firmware.message_values import bounds, misfit
 from cell_firmware.plain_registers import registers_of, unrecorded
 from cell_firmware.program import Program, Theory
 from cell_firmware.random_draws import NO_DRAWS, Draws, no_draws
+from cell_firmware.stepping import NOW
 
 Message = Mapping[str, Any]
 """One message: values by field name, as the firmware's message type declares them."""
@@ -221,7 +222,7 @@ class PerCellAdapter(Firmware):
         unserved: list[int] = []
         step = self.firmware.step
         for i, (before, own) in enumerate(zip(states.tolist(), _each_inputs(inputs), strict=True)):
-            speed = _STANDS
+            speed, NOW.index = _STANDS, i  # the index names the cell in what it prints
             try:
                 states[i], outputs = _pair(step(before, own))
                 speed = _speed(outputs)
@@ -269,6 +270,11 @@ def _cell(cells: Cells, i: int) -> Cell:
         cells.pitch_m,
         _random(cells.random, i),
     )
+
+
+def cell_inputs(inputs: Inputs, i: int) -> CellInputs:
+    """Return the inputs of one of n cells as plain values."""
+    return next(iter(_each_inputs(inputs.select(np.array([i])))))
 
 
 def _each_inputs(inputs: Inputs) -> Iterator[CellInputs]:

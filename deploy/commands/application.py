@@ -31,6 +31,7 @@ COMMANDS = {
     "registers": "Read the registers of a running system's cells.",
     "scenes": "List the bundled scenes, or print a scene.",
     "schema": "Print the JSON Schema of scene files, for editors.",
+    "step": "Step a cell's program again in a tick of a recording, in the debugger.",
     "view": "Show a run in progress or a recording in the browser: run, pause, step, break cells.",
     "warm": "Compile the kernels of scenes ahead of their first run.",
 }

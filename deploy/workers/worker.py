@@ -19,7 +19,7 @@ from bus.transports.base import Endpoint, LivelinessChange, Received
 from bus.wire.frames import decode_control
 from bus.wire.keys import plant_key
 from deploy.scenes.fault_schedule import Deaths, in_run_faults, of_cells, permanent_crashes
-from deploy.workers.debugger import install
+from deploy.workers import cell_output, debugger
 
 if TYPE_CHECKING:
     from bus.lockstep import Participant, WireFormat
@@ -151,6 +151,13 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard
         FirmwareError: The firmware can't be loaded or initialised.
         BusError: The plant can't be reached, or has left.
     """
+    debugger.install()
+    with cell_output.naming_cells():
+        _serve(order, shard, endpoint, built)
+
+
+def _serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard | None) -> None:
+    """Run the agents of one shard; see ``serve``."""
     import asyncio
 
     from bus.state import save_state
@@ -158,7 +165,6 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard
     from cell_firmware import agent
     from deploy.workers.overrun import Watchdog
 
-    install()
     cells, site, records = _begun(order, shard) if built is None else built
     if order.snapshots:
         save_state(cells, records)  # a program whose memory can't be kept is told of before the run begins
