@@ -43,6 +43,8 @@ SCRIPTS: dict[str, Smoke] = {
         "--cells 1000 --workers 1 --turns 1 --seconds 0.1 --picture ''",
         rf"1 worker, recorded +{N} +{N} +{N} +{N} +{N} +{N} +{N}",
     ),
+    "digest_cost.py": Smoke("", rf"10000 +{N} +{N}"),
+    "cells/random_draws.py": Smoke("", rf"Scalar +10000 +{N} +{N} +{N}"),
     "cells/board_cost.py": Smoke("--cells 18 --turns 1 --budget 0.02", rf"mux +{N} \({N}-{N}\)"),
     "cells/compiled_step.py": Smoke(
         "--cells 18 --turns 1 --budget 0.02", rf"behavioural +18 +{N} +{N} +{N} +{N} +{N}"
@@ -88,6 +90,9 @@ SCRIPTS: dict[str, Smoke] = {
         "--turns 1 --parcels 25 --side 150", rf"plant, ticks +{N} +{N} +{N} +{N} +{N} +{N}"
     ),
     "plant/mujoco_parcel.py": Smoke("--repeats 1", rf"facts\n\n(.*\n)*.*{N}"),
+    "plant/chatter_effects.py": Smoke(
+        "--seeds 1 --only uneven_supports", rf"uneven_supports +located +{N} +{N} +\d+ +\d+ +0"
+    ),
     "plant/coulomb_effects.py": Smoke("--seeds 1", rf"load_transfer, motors +1e-08 +{N} +{N} +\d+"),
     "plant/coulomb_events.py": Smoke("--seeds 2", rf"1e-10 +{N} +{N} +\d+"),
     "plant/spinning_parcels.py": Smoke("--scenes 21 --turns 1", rf"worst {N} .*within 10: 100.0%"),

@@ -74,12 +74,18 @@ def world_scene(
 
     Raises:
         SceneError: A value is refused.
-        InputError: The program has no conditions.
+        InputError: The program has no conditions, or draws random numbers.
     """
     lab = Lab(
         firmware, lattice, parameters=parameters, initial_registers=initial_registers, seed=seed, check=None
     )
-    if not declares_invariants(load(lab.scene.cells)):
+    program = load(lab.scene.cells)
+    if program.random:
+        raise InputError(
+            f"the program {lab.scene.cells.firmware} draws random numbers ({', '.join(program.random)}): a search "
+            "merges equal states, which go on alike only without chance"
+        )
+    if not declares_invariants(program):
         raise InputError(
             f"the program {lab.scene.cells.firmware} has no conditions to check: it defines neither invariants(view) "
             "nor eventually(view)"

@@ -25,7 +25,7 @@ from deploy.studies.adversary.check import (
 from deploy.studies.adversary.spec import KINDS, Act, Adversary, tables_of
 from deploy.studies.adversary.world import DEAD
 from deploy.workers.plan import RunOptions
-from mdms import SIDES, Cell, CellInputs, Lattice
+from mdms import SIDES, Cell, CellFirmware, CellInputs, CellOutputs, Lattice
 from tests.deploy.lab.programs import Gossip
 from tests.deploy.studies.adversary.mutants import (
     Corner,
@@ -235,6 +235,27 @@ def test_a_program_that_fails_is_a_violation() -> None:
     _, counterexample = check_exhaustively(world_scene(Overflows, (2, 3)), Adversary(1, 6, ("loss",)))
     assert counterexample is not None
     assert "ValueError: nobody there" in counterexample.violation.rule
+
+
+class Drawing(CellFirmware):
+    """Counts draws below a half."""
+
+    random = ("go",)
+
+    def init(self, cell: Any) -> int:
+        del cell
+        return 0
+
+    def step(self, state: int, inputs: Any) -> tuple[int, CellOutputs]:
+        return state + int(inputs.random["go"] < 0.5), CellOutputs((0.0, 0.0))
+
+    def invariants(self, view: Any) -> Any:
+        yield "few", view["state"] < 100
+
+
+def test_a_program_that_draws_random_numbers_is_refused() -> None:
+    with pytest.raises(InputError, match=r"draws random numbers \(go\)"):
+        world_scene(Drawing, (1, 2))
 
 
 def test_programs_without_conditions_and_wrong_powers_are_refused() -> None:
