@@ -179,7 +179,8 @@ def locate(
     linear = effects.load_transfer is None and effects.contact_width is None
     if traction.set_valued:
         parcel.par[layout.FREE_SPEED] = traction.free_speed
-        law[implicit_layout.LOCATED] = implicit_layout.CONES
+        if traction.static_ratio == 1.0:  # else errors are greater than where steps shrink (decision 0057)
+            law[implicit_layout.LOCATED] = implicit_layout.CONES
         if not traction.isotropic:
             # no slip is within the limit: each wheel sticks, or slips one way
             parcel.par[[layout.LIMIT, layout.LIMIT_PER_SHARE]] = 0.0

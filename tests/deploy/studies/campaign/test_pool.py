@@ -125,7 +125,7 @@ def test_a_run_of_a_campaign_has_the_digest_and_the_parcels_of_mdms_run(tmp_path
 
 def test_a_pool_without_workers_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("deploy.studies.campaign.pool.PRELOAD", ())
-    monkeypatch.setattr("deploy.studies.campaign.pool.WorkerLoop", lambda address: partial(int, "no number"))
+    monkeypatch.setattr("deploy.studies.campaign.pool.WorkerLoop", lambda *_: partial(int, "no number"))
     with (
         ExecutorPool(2, LIMIT_S, nothing) as pool,
         pytest.raises(WorkerError, match=r"end before their first run: .*no number"),
