@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.lattice import OPPOSITE, SIDES
+from cell_firmware.shard import MESSAGES
 from deploy.view.geometry import outline
 
 if TYPE_CHECKING:
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from deploy.view.source import Floats, Instant, Ints, RunSource
 
 _HEALTH: Final = ("alive", "faulty", "dead or lost")
-_SIDES: Final = ("north", "east", "south", "west")
+_SIDES: Final = SIDES
 _INBOX: Final = ("received", "neighbour", "inbox", "heard", "unheard")
 _OUTBOX: Final = ("sent", "outbox", "said")
 """Last part of the names of registers that tell of messages received and sent."""
@@ -70,7 +72,7 @@ def cell_facts(
         "column": column,
         "sections": [
             {"name": "State", "rows": state},
-            *_register_sections(registers, cell, time_s),
+            *_register_sections(registers, cell, time_s, grid.beside(cell)),
         ],
         "neighbours": [
             {
@@ -98,11 +100,21 @@ def _parcels_over(source: RunSource, grid: CellGrid, instant: Instant, cell: int
 
 
 def _register_sections(
-    registers: Mapping[str, NDArray[Any]], cell: int, time_s: float
+    registers: Mapping[str, NDArray[Any]], cell: int, time_s: float, beside: Mapping[str, int]
 ) -> list[dict[str, Any]]:
-    """Return the registers of a cell in three sections: messages received, messages sent, all others."""
+    """Return the registers of a cell in three sections: messages received, messages sent, all others.
+
+    Messages are those of the last tick: the cell's own are its outbox, the neighbours' to this cell its inbox. The
+    program reads the inbox in the next tick, unless a fault or an effect of links acts.
+    """
     sections: dict[str, list[Row]] = {"Inbox": [], "Outbox": [], "Registers": []}
+    for number, side in enumerate(_SIDES):
+        if side in beside:
+            sections["Outbox"] += _message_rows(registers, cell, number, f"to {side}")
+            sections["Inbox"] += _message_rows(registers, beside[side], OPPOSITE[number], f"from {side}")
     for name, values in registers.items():
+        if name.startswith(MESSAGES):
+            continue
         last = name.rpartition(".")[2]
         section = "Inbox" if last in _INBOX else "Outbox" if last in _OUTBOX else "Registers"
         numbers = np.atleast_1d(values[cell]).ravel().tolist()
@@ -113,6 +125,22 @@ def _register_sections(
             sections[section].append(_row(name, numbers if len(numbers) > 1 else numbers[0]))
     note = f"after {time_s:.3f} s"
     return [{"name": name, "note": note, "rows": rows} for name, rows in sections.items() if rows]
+
+
+def _message_rows(registers: Mapping[str, NDArray[Any]], sender: int, side: int, label: str) -> list[Row]:
+    """Return a row for each field of the message that a cell sent to a side; one row if it sent none."""
+    sent = registers.get(f"{MESSAGES}sent")
+    if sent is None:
+        return []
+    if not sent[sender, side] > 0:  # or not a number, of a dead cell
+        return [_row(label, "none")]
+    rows: list[Row] = []
+    for name, values in registers.items():
+        if name.startswith(MESSAGES) and name != f"{MESSAGES}sent":
+            numbers = values[sender].reshape(len(_SIDES), -1)[side].tolist()
+            field = name.removeprefix(MESSAGES)
+            rows.append(_row(f"{label} {field}", numbers if len(numbers) > 1 else numbers[0]))
+    return rows
 
 
 def parcel_facts(

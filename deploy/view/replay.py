@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from cell_firmware.shard import MESSAGES
 from deploy.errors import RequestError
 from deploy.recordings.trace import mask_absent
 from deploy.view.fault_state import FaultState
@@ -76,7 +77,16 @@ class ReplaySource:
         if row < 0:
             return 0.0, {}
         time_s = float(ticks[row] + 1) * self.header["period_ns"] * 1e-9
-        return time_s, {name: values[row] for name, values in self._recording.registers.items()}
+        found = {name: values[row] for name, values in self._recording.registers.items()}
+        return time_s, {**found, **self._messages(int(ticks[row]))}
+
+    def _messages(self, tick: int) -> dict[str, NDArray[Any]]:
+        """Return the messages sent in a tick, as the registers of a running cell have them; none if not recorded."""
+        ticks = self._recording.message_tick
+        row = int(np.searchsorted(ticks, tick))
+        if row == len(ticks) or int(ticks[row]) != tick:
+            return {}
+        return {f"{MESSAGES}{name}": values[row] for name, values in self._recording.messages.items()}
 
     def register_series(self, name: str, cell: int) -> tuple[Floats, Floats]:
         """Return the times and the numbers of a cell's register."""

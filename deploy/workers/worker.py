@@ -374,7 +374,7 @@ def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
         stages,
         () if faults is None else faults.injected,
     )
-    shard.shows_messages = order.messages
+    shard.shows_messages = order.messages or order.byte_accurate_links
     return BuiltShard(shard, site, records_of(firmware))
 
 

@@ -66,6 +66,9 @@ def test_pauses_and_steps_leave_the_digest_as_it_is(tmp_path: Path, processes: P
     assert (frame.tick, frame.state) == (100, "paused")
     readings = live.registers([(0, 0), (1, 2)])
     assert (readings.tick, sorted(readings.cells)) == (99, [(0, 0), (1, 2)])
+    shown = readings.cells[1, 2]
+    assert shown["message.sent"] == [True] * 4
+    assert shown["message.vx_m_s"] == [shown["firmware.speed_m_s"][0]] * 4
     live.resume()
     outcome = controlled.end()
     assert outcome.summary.status == "ok"
@@ -73,6 +76,7 @@ def test_pauses_and_steps_leave_the_digest_as_it_is(tmp_path: Path, processes: P
     # registers that were shown once more are neither recorded nor counted again
     assert load(controlled.folder).register_tick.tolist() == list(range(TICKS))
     assert outcome.summary.messages == plain.summary.messages
+    assert not any(name.startswith("message.") for name in load(controlled.folder).registers)
     kinds = [record["kind"] for record in load(controlled.folder).control]
     assert kinds == ["step"] * 100 + ["resume"]
 

@@ -16,7 +16,7 @@ from deploy.view.fault_menu import fault_menu, fault_request
 from deploy.view.fault_state import ALIVE, DEAD, FAULTY, FaultState
 from deploy.view.geometry import CellGrid, arrows, broken_line, outlines, trails
 from deploy.view.history import History
-from deploy.view.inspector import supports
+from deploy.view.inspector import _register_sections, supports
 from deploy.view.palette import DARK, LIGHT, rgba, scale_of
 from deploy.view.player import Player
 from deploy.view.plot_figure import PlotFigure
@@ -216,3 +216,31 @@ def test_every_kind_of_fault_has_a_button_whose_request_the_run_accepts() -> Non
         assert request.fault.kind == kind
     turned: Any = read_request(json.dumps(fault_request("link_down", 3, 4, {"side": "north"})).encode())
     assert turned.fault.side == "north"
+
+
+# --- messages of a cell ----------------------------------------------------------------------------
+
+
+def sections(registers: dict[str, np.ndarray], cell: int) -> dict[str, list[tuple[str, Any]]]:
+    """Rows of the inspector's sections by name."""
+    grid = CellGrid(CELLS, PLACES, 0.1)
+    found = _register_sections(registers, cell, 0.5, grid.beside(cell))
+    return {one["name"]: [(row["name"], row["value"]) for row in one["rows"]] for one in found}
+
+
+def test_the_inspector_shows_the_messages_sent_by_a_cell_and_by_its_neighbours() -> None:
+    sent = np.zeros((4, 4))
+    sent[0, 0] = sent[1, 3] = 1.0  # from 0,0 to the north, and from 0,1 to the west
+    sent[2] = np.nan  # 1,0 is dead
+    number, pair = np.arange(16.0).reshape(4, 4), np.arange(32.0).reshape(4, 8)
+    registers = {
+        "message.sent": sent,
+        "message.n": number,
+        "message.pair": pair,
+        "firmware.u": np.ones((4, 1)),
+    }
+    found = sections(registers, 0)
+    assert found["Outbox"] == [("to north n", 0.0), ("to north pair", [0.0, 1.0]), ("to east", "none")]
+    assert found["Inbox"] == [("from north", "none"), ("from east n", 7.0), ("from east pair", [14.0, 15.0])]
+    assert found["Registers"] == [("firmware.u", 1.0)]
+    assert set(sections({"firmware.u": np.ones((4, 1))}, 0)) == {"Registers"}
