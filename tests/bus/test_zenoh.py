@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,6 +25,8 @@ from bus.partition import Partition
 from bus.spec import StallSpec
 from bus.transports.base import Event, LivelinessChange, Received
 from bus.transports.zenoh import AccessPolicy, client_config, hub_config, open_client, open_hub, open_outside
+from bus.transports.zenoh.endpoint import ZenohEndpoint, free_port
+from bus.transports.zenoh.linger import LingerReset, tcp_ports
 from bus.transports.zenoh.receive import drain as drain_channels
 from tests.bus.support import Network, System, drain, grid, payloads, settle, tokens
 
@@ -140,6 +145,64 @@ def test_a_listener_that_reads_nothing_holds_up_no_declaration_of_the_mirror() -
         listener.kill()
         listener.communicate()
         outside.close()
+
+
+def _linger_s(port: int) -> list[tuple[int, int]]:
+    """SO_LINGER, whether it is on and for how many seconds, of the links to a port of this process."""
+    found: list[tuple[int, int]] = []
+    for path in Path("/dev/fd").iterdir():
+        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(path.name))) as link:
+            if link.family == socket.AF_INET and link.getsockname()[1] == port and link.getpeername():
+                found.append(struct.unpack("ii", link.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)))
+    return found
+
+
+@pytest.mark.parametrize("open_session", [open_outside, open_hub])
+def test_closing_a_link_over_tcp_never_waits_for_its_peer(
+    open_session: Callable[..., ZenohEndpoint], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LingerReset, "_work", lambda _: None)
+    listen = f"tcp/127.0.0.1:{free_port()}"
+    hub = open_session(listen, gate=AccessPolicy(None, '{"enabled": false}'))
+    port = int(listen.rpartition(":")[2])
+    clients = [open_client(listen) for _ in range(3)]
+    try:
+        assert _linger_s(port) == [(1, 10)] * 3, "Zenoh doesn't set it any more: LingerReset can go"
+        reset = LingerReset([port])
+        assert reset.sweep() == 3
+        assert [on for on, _ in _linger_s(port)] == [0] * 3
+        assert reset.sweep() == 0
+    finally:
+        for client in clients:
+            client.close()
+        hub.close()
+
+
+def test_links_are_reset_as_they_come() -> None:
+    hub = open_outside(None, gate=AccessPolicy(None, '{"enabled": false}'))
+    port = int(hub.locator.rpartition(":")[2])
+    client = open_client(hub.locator)
+    try:
+        deadline = time.monotonic() + 5.0
+        while [on for on, _ in _linger_s(port)] != [0]:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    finally:
+        client.close()
+        hub.close()
+
+
+def test_ports_are_those_of_tcp_and_tls() -> None:
+    addresses = ("tcp/127.0.0.1:7447", "tls/[::1]:7448#iface=lo", "unixsock-stream//tmp/a:3", "udp/1.2.3.4:5")
+    assert tcp_ports(addresses) == {7447, 7448}
+
+
+def test_a_client_leaves_the_environment_as_it_was() -> None:
+    code = "import os\nfrom bus.transports.zenoh import open_client, open_hub\n"
+    code += "hub = open_hub()\nopen_client(hub.locator).close()\nhub.close()\n"
+    code += "assert 'ZENOH_RUNTIME' not in os.environ\n"
+    environment = {name: value for name, value in os.environ.items() if name != "ZENOH_RUNTIME"}
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True, timeout=60)
 
 
 def test_a_payload_that_is_too_large_is_dropped_as_it_comes_in_and_the_next_arrives(

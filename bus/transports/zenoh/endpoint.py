@@ -10,7 +10,7 @@ import os
 import socket
 import threading
 import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
 import zenoh
@@ -18,6 +18,7 @@ import zenoh
 from bus.errors import TransportError
 from bus.transports.base import Endpoint, Event, LivelinessChange, Publisher, Urgency, Wakeup
 from bus.transports.memory import check_overlap
+from bus.transports.zenoh.linger import LingerReset, tcp_ports
 from bus.transports.zenoh.receive import ReceiveQueue
 from bus.transports.zenoh.session import (
     LEASE_S,
@@ -119,6 +120,7 @@ class ZenohEndpoint(Endpoint):
         self._subscribed: list[str] = []
         self._watchers: list[object] = []
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
+        self._linger = LingerReset(tcp_ports(listening))
 
     def publisher(self, key: str) -> Publisher:
         """A publisher on one key."""
@@ -208,6 +210,7 @@ class ZenohEndpoint(Endpoint):
         if closer.is_alive():
             # Dropping the session would wait for the same again: never drop it.
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(self.session))
+        self._linger.close()
         if self.refusals is not None:
             self.refusals.close()
 
@@ -232,6 +235,7 @@ class ZenohEndpoint(Endpoint):
 
 
 _PORT_ATTEMPTS: Final = 20
+_RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
 _RUNTIME: Final = (
     "(rx: (worker_threads: 1), tx: (handover: rx), acc: (handover: rx), net: (handover: rx), "
     "app: (handover: rx))"
@@ -337,9 +341,25 @@ def open_client(
     Raises:
         TransportError: No session listens there within ``timeout_s``, or it refuses this identity.
     """
-    os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)  # read once, at a process's first session
     config = client_config(connect, lease_s, timeout_s, identity)
-    return ZenohEndpoint(_open(config, f"connect to {connect}"), connect)
+    with _one_thread():
+        return ZenohEndpoint(_open(config, f"connect to {connect}"), connect)
+
+
+@contextlib.contextmanager
+def _one_thread() -> Generator[None]:
+    """Give Zenoh one thread if this process opens its first session here, and nobody has chosen otherwise.
+
+    Zenoh reads the variable once, at the first session. It is taken back: a child process may be a plant.
+    """
+    if _RUNTIME_VARIABLE in os.environ:
+        yield
+        return
+    os.environ[_RUNTIME_VARIABLE] = _RUNTIME
+    try:
+        yield
+    finally:
+        os.environ.pop(_RUNTIME_VARIABLE, None)
 
 
 def _open(config: zenoh.Config, attempted: str) -> zenoh.Session:
