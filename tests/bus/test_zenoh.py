@@ -151,9 +151,12 @@ def _linger_s(port: int) -> list[tuple[int, int]]:
     """SO_LINGER, whether it is on and for how many seconds, of the links to a port of this process."""
     found: list[tuple[int, int]] = []
     for path in Path("/dev/fd").iterdir():
-        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(path.name))) as link:
-            if link.family == socket.AF_INET and link.getsockname()[1] == port and link.getpeername():
-                found.append(struct.unpack("ii", link.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)))
+        with contextlib.suppress(OSError):  # closed meanwhile, or not connected
+            if not path.is_socket():
+                continue
+            with socket.socket(fileno=os.dup(int(path.name))) as link:
+                if link.family == socket.AF_INET and link.getsockname()[1] == port and link.getpeername():
+                    found.append(struct.unpack("ii", link.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)))
     return found
 
 

@@ -348,9 +348,9 @@ def open_client(
 
 @contextlib.contextmanager
 def _one_thread() -> Generator[None]:
-    """Give Zenoh one thread if this process opens its first session here, and nobody has chosen otherwise.
+    """Choose one thread for Zenoh, if the variable is not set and the process opens its first session in the context.
 
-    Zenoh reads the variable once, at the first session. It is taken back: a child process may be a plant.
+    Zenoh reads the variable at a process's first session. The context restores it: a child process may be a plant.
     """
     if _RUNTIME_VARIABLE in os.environ:
         yield

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final, final
 
 _OFF: Final = struct.pack("ii", 0, 0)
-_EVERY_S: Final = 0.25
+_EVERY_S: Final = 0.5
 """Interval of the sweeps, wall seconds: shorter than any lease."""
 _SHARE: Final = 0.02
 """Longest share of the time that sweeps may take; with thousands of links they are further apart."""
@@ -30,7 +30,7 @@ _FOLDER: Final = "/dev/fd"
 
 @final
 class LingerReset:
-    """Resets SO_LINGER on links to some ports of this process, those that exist and those to come, until ``close``.
+    """Reset of SO_LINGER on all present and future links to some ports of this process, until ``close``.
 
     Args:
         ports: Local TCP ports of the links.
@@ -67,12 +67,18 @@ class LingerReset:
     def _reset(self, descriptor: int) -> bool:
         """Reset the option if this is such a link."""
         # A duplicate: the descriptor itself may be closed, and mean another file, at any time.
-        with socket.socket(fileno=os.dup(descriptor)) as link:
+        duplicate = os.dup(descriptor)
+        try:
+            link = socket.socket(fileno=duplicate)
+        except OSError:
+            os.close(duplicate)
+            return False
+        with link:
             if link.family not in (socket.AF_INET, socket.AF_INET6) or link.type != socket.SOCK_STREAM:
                 return False
-            if link.getsockname()[1] not in self._ports or link.getsockopt(
-                socket.SOL_SOCKET, socket.SO_ACCEPTCONN
-            ):
+            if link.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+                return False
+            if link.getsockname()[1] not in self._ports:
                 return False
             link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
             return True
