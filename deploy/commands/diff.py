@@ -91,12 +91,18 @@ def _lines(found: RecordingDifference) -> Iterator[str]:
     if found.scenes:
         yield f"the scenes differ in {plural(len(found.scenes), 'value')}:"
         for value in found.scenes[:_MOST_VALUES]:
-            yield f"  {value.path}: {value.a!r} and {value.b!r}"
+            yield f"  {value.path}: {_said(value.a)} and {_said(value.b)}"
         if len(found.scenes) > _MOST_VALUES:
             yield f"  and {len(found.scenes) - _MOST_VALUES} more"
     yield f"compared: {', '.join(found.compared)}; {plural(found.instants, 'instant')}"
     for what in (*found.unlike, *found.left_out):
         yield f"not compared: {what}"
+
+
+def _said(value: object) -> str:
+    from deploy.recordings.difference import ABSENT
+
+    return ABSENT if value == ABSENT else repr(value)
 
 
 def _place(one: ValueDifference) -> str:

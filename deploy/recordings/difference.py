@@ -15,7 +15,8 @@ from deploy.recordings.format import PARCEL_NUMBERS
 if TYPE_CHECKING:
     from deploy.recordings.reader import ChangeEncoded, Recording
 
-_ABSENT: Final = "absent"
+ABSENT: Final = "absent"
+"""Value of a key that a scene does not have."""
 
 
 @final
@@ -305,18 +306,18 @@ def _scene_differences(a: Recording, b: Recording) -> Iterator[SceneDifference]:
     for start, one, other in pairs:
         ours, theirs = dict(_leaves(one, start)), dict(_leaves(other, start))
         for path in dict.fromkeys((*ours, *theirs)):
-            values = ours.get(path, _ABSENT), theirs.get(path, _ABSENT)
+            values = ours.get(path, ABSENT), theirs.get(path, ABSENT)
             if values[0] != values[1]:
                 yield SceneDifference(path, *values)
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Yield plain values of nested tables by dotted path."""
+    """Yield plain values of nested tables by dotted path; none of an empty table or list, and none that is None."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():  # pyright: ignore[reportUnknownVariableType]
             yield from _leaves(inner, f"{path}.{key}" if path else str(key))  # pyright: ignore[reportUnknownArgumentType]
     elif isinstance(value, list) and value:
         for i, inner in enumerate(value):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
             yield from _leaves(inner, f"{path}.{i}")
-    else:
+    elif value is not None and value != [] and value != {}:
         yield path, value

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from deploy.view.source import Floats, Instant, Ints, RunSource
 
 _HEALTH: Final = ("alive", "faulty", "dead or lost")
-_SIDES: Final = SIDES
+
 _INBOX: Final = ("received", "neighbour", "inbox", "heard", "unheard")
 _OUTBOX: Final = ("sent", "outbox", "said")
 """Last part of the names of registers that tell of messages received and sent."""
@@ -108,7 +108,7 @@ def _register_sections(
     program reads the inbox in the next tick, unless a fault or an effect of links acts.
     """
     sections: dict[str, list[Row]] = {"Inbox": [], "Outbox": [], "Registers": []}
-    for number, side in enumerate(_SIDES):
+    for number, side in enumerate(SIDES):
         if side in beside:
             sections["Outbox"] += _message_rows(registers, cell, number, f"to {side}")
             sections["Inbox"] += _message_rows(registers, beside[side], OPPOSITE[number], f"from {side}")
@@ -118,8 +118,8 @@ def _register_sections(
         last = name.rpartition(".")[2]
         section = "Inbox" if last in _INBOX else "Outbox" if last in _OUTBOX else "Registers"
         numbers = np.atleast_1d(values[cell]).ravel().tolist()
-        if section != "Registers" and len(numbers) == len(_SIDES):
-            rows = [_row(f"{name} {side}", number) for side, number in zip(_SIDES, numbers, strict=True)]
+        if section != "Registers" and len(numbers) == len(SIDES):
+            rows = [_row(f"{name} {side}", number) for side, number in zip(SIDES, numbers, strict=True)]
             sections[section] += rows
         else:
             sections[section].append(_row(name, numbers if len(numbers) > 1 else numbers[0]))
@@ -137,7 +137,7 @@ def _message_rows(registers: Mapping[str, NDArray[Any]], sender: int, side: int,
     rows: list[Row] = []
     for name, values in registers.items():
         if name.startswith(MESSAGES) and name != f"{MESSAGES}sent":
-            numbers = values[sender].reshape(len(_SIDES), -1)[side].tolist()
+            numbers = values[sender].reshape(len(SIDES), -1)[side].tolist()
             field = name.removeprefix(MESSAGES)
             rows.append(_row(f"{label} {field}", numbers if len(numbers) > 1 else numbers[0]))
     return rows

@@ -131,9 +131,11 @@ def test_a_shorter_recording_differs_though_all_common_ticks_agree(
 def test_scenes_that_differ_are_named_and_do_not_count(
     made: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = made(extra={"scene": {"duration_s": 1.0, "cells": {"firmware": "b.py"}}})
+    other = made(
+        extra={"scene": {"duration_s": 1.0, "cells": {"firmware": "b.py", "label": None}, "faults": []}}
+    )
     assert differ(tmp_path, made(), other) == 0
-    assert "the scenes differ in 1 value:\n  cells.firmware: 'absent' and 'b.py'\n" in capsys.readouterr().out
+    assert "the scenes differ in 1 value:\n  cells.firmware: absent and 'b.py'\n" in capsys.readouterr().out
 
 
 def test_events_and_faults_are_compared(
