@@ -83,7 +83,9 @@ def sequence_figure(recording: Recording, cells: str | None, ticks: tuple[int, i
         raise InputError(
             f"--ticks {first}-{last}: a chart has room for {_MOST_TICKS} ticks, not {last - first + 1}"
         )
-    messages = [one for one in recording.traced_messages() if _is_shown(one, set(shown), first, last)]
+    messages = [
+        one for one in recording.traced_messages(set(shown)) if _is_shown(one, set(shown), first, last)
+    ]
     labelled = len(messages) <= _LABELLED
     across = max((_LABELLED_CELL_IN if labelled else _CELL_IN) * (len(shown) - 1), 2.6)
     width = 2 * _SIDE_IN + across + _KEY_IN

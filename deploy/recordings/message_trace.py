@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, final
 
@@ -73,6 +73,7 @@ def traced_messages(
     ticks: NDArray[np.int64],
     trace: Mapping[str, NDArray[Any]],
     faults: Sequence[Mapping[str, Any]],
+    cells: Collection[tuple[int, int]] | None = None,
 ) -> list[TracedMessage]:
     """Return the traced messages of a recording, ordered by the tick of sending, or of reading where there is none.
 
@@ -85,8 +86,11 @@ def traced_messages(
         ticks: ``(K,)`` ticks of the trace.
         trace: Its arrays, as ``Recording.trace`` has them.
         faults: Faults of the recording.
+        cells: ``(row, column)`` of the cells whose messages are wanted; the others count as not traced. None: all.
     """
-    return sorted(_messages(header, ticks, trace, _Reasons(header, faults)), key=_order) if len(ticks) else []
+    if not len(ticks):
+        return []
+    return sorted(_messages(header, ticks, trace, _Reasons(header, faults), cells), key=_order)
 
 
 def _order(message: TracedMessage) -> tuple[int, tuple[int, int], str]:
@@ -95,11 +99,19 @@ def _order(message: TracedMessage) -> tuple[int, tuple[int, int], str]:
 
 
 def _messages(
-    header: Header, ticks: NDArray[np.int64], trace: Mapping[str, NDArray[Any]], reasons: _Reasons
+    header: Header,
+    ticks: NDArray[np.int64],
+    trace: Mapping[str, NDArray[Any]],
+    reasons: _Reasons,
+    wanted: Collection[tuple[int, int]] | None,
 ) -> Iterator[TracedMessage]:
     lattice = Lattice(tuple((int(row), int(column)) for row, column in header["cells"]))
     cells = trace["cell"][0]
-    row_of = {int(cell): row for row, cell in enumerate(cells)}
+    row_of = {
+        int(cell): row
+        for row, cell in enumerate(cells)
+        if wanted is None or lattice.cells[int(cell)] in wanted
+    }
     for cell, row in row_of.items():
         for side in range(4):
             other = int(lattice.neighbours[cell, side])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -247,11 +247,15 @@ class Recording:
         """Names of the scene's effects that change forces and that ``tractions`` does not include."""
         return self._recorded_tractions.left_out
 
-    def traced_messages(self) -> list[TracedMessage]:
-        """Return the messages of a run with ``--trace-messages``: sent, read, late, altered or lost, and why."""
+    def traced_messages(self, cells: Collection[tuple[int, int]] | None = None) -> list[TracedMessage]:
+        """Return the messages of a run with ``--trace-messages``: sent, read, late, altered or lost, and why.
+
+        Args:
+            cells: ``(row, column)`` of the cells whose messages are wanted; None: of all that were traced.
+        """
         from deploy.recordings.message_trace import traced_messages
 
-        return traced_messages(self.header, self.trace_tick, self.trace, self.faults)
+        return traced_messages(self.header, self.trace_tick, self.trace, self.faults, cells)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return all values as a dataset with names, units and coordinates.

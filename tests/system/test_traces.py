@@ -152,6 +152,15 @@ def _fault(fault: str) -> str:
     return "[[faults]]\ncell = [1, 1]\n" + "\n".join(fault.split(", ")) + "\n"
 
 
+def test_messages_between_chosen_cells_alone_are_told(counting: Path) -> None:
+    _, found, messages = traced(counting)
+    pair = {(0, 0), (0, 1)}
+    between = [message for message in messages if {message.sender, message.receiver} == pair]
+    chosen = found.traced_messages(pair)
+    assert [one for one in chosen if {one.sender, one.receiver} == pair] == between
+    assert all({one.sender, one.receiver} & pair for one in chosen)
+
+
 def test_messages_to_a_dead_cell_are_lost_because_it_was_not_stepped(counting: Path) -> None:
     _, _, messages = traced(counting, "[[faults]]\nkind = 'crash'\nat_s = 0.1\ncell = [1, 1]\n")
     lost = [message for message in messages if message.fate == "lost"]
