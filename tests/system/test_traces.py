@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.text import Annotation
 
 from deploy.cli import main
 from deploy.errors import InputError
+from deploy.plots.sequence import sequence_figure
+from deploy.plots.spacetime import spacetime_figure
 from deploy.recordings import run_log
 from deploy.recordings.message_trace import TracedMessage
 from deploy.recordings.reader import Recording, load
@@ -202,6 +205,46 @@ def test_messages_over_serial_lines_are_traced_whole(tmp_path: Path) -> None:
     messages = load(output).traced_messages()
     assert fates(messages)["read"] + fates(messages)["late"] > 100
     assert all(set(message.sent or message.read) == set(messages[0].sent) for message in messages)
+
+
+def test_a_chart_has_an_arrow_for_each_message_read_and_a_cross_for_each_lost(counting: Path) -> None:
+    _, found, messages = traced(counting, _fault("kind = 'link_down', at_s = 0.05, until_s = 0.1"))
+    figure = sequence_figure(found, "1,0-1,2", (8, 20))
+    (axes,) = figure.axes
+    between = [
+        message
+        for message in messages
+        if message.sender[0] == message.receiver[0] == 1
+        and max(message.sender[1], message.receiver[1]) <= 2
+        and message.sent_tick is not None
+        and 8 <= message.sent_tick <= 20
+    ]
+    arrows = [text for text in axes.texts if isinstance(text, Annotation)]
+    crosses = [line for line in axes.lines if line.get_marker() == "x"]
+    assert (len(arrows), len(crosses)) == (fates(between)["read"], fates(between)["lost"])
+    assert len(crosses) > 10
+    ends = {(float(x), float(y)) for x, y in (arrow.xy for arrow in arrows)}
+    places = {column: float(number) for number, column in enumerate((0, 1, 2))}
+    assert ends == {
+        (places[message.receiver[1]], message.read_tick)
+        for message in between
+        if message.read_tick is not None
+    }
+    names = [text.get_text() for text in axes.texts if "," in text.get_text()]
+    assert names == ["1,0", "1,1", "1,2"]
+
+
+def test_a_space_time_plot_has_the_register_of_each_cell_beside_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "small.toml"
+    path.write_text(small_scene())
+    _, found, _ = traced(path, cells=None, registers=1)
+    figure = spacetime_figure(found, "firmware.speed_m_s", "1,0-1,3")
+    axes = figure.axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["1,0", "1,1", "1,2", "1,3"]
+    (mesh,) = axes.collections
+    drawn = np.asarray(mesh.get_array()).reshape(4, -1)
+    np.testing.assert_array_equal(drawn, found.registers["firmware.speed_m_s"][:, 4:8, 0].T)
+    assert len(figure.axes) == 2, "the other component is zero all the time"
 
 
 def test_no_more_is_traced_than_the_limit(counting: Path, monkeypatch: pytest.MonkeyPatch) -> None:
