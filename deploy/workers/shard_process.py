@@ -106,7 +106,7 @@ class ShardProcess:
             InputError: The plant refuses.
             DeployError: No plant answers in time, or another process has the place.
         """
-        asked = encode(request_of(self.shard, self.partition.count, process, facts))
+        asked = encode(request_of(self.shard, self.partition.count, process, facts, self.scene.canonical()))
         begun, said = time.monotonic(), ""
         while True:
             problem = "the plant does not answer yet"
