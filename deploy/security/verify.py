@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def check_certificate(identity: Certificate, role: str) -> None:
-    """Check a certificate by a TLS handshake with itself in memory: plant's and router's as a server, others as clients.
+    """Check a certificate by a TLS handshake with itself in memory: plant and router as servers, others as clients.
 
     Raises:
         InputError: The certificate has expired, another authority signed it, the key doesn't match, or the role

@@ -169,7 +169,8 @@ class ExternalWorkers:
         if asked.failed:
             return self._refuse(asked, asked.failed)
         if found := differences(self._facts, asked.facts):
-            found += scene_differences(self._scene, asked.scene)
+            if values := scene_differences(self._scene, asked.scene):
+                found = [*(one for one in found if not one.startswith("the scene ")), *values]
             return self._refuse(asked, f"differs from the plant: {'; '.join(found)}")
         if problem := self._occupied(asked):
             return JoinRefusal(problem=problem, later=True)
