@@ -109,6 +109,7 @@ class Participant:
             self._incoming.accept_any_tick()
         token, control = plant_key(run, "alive"), plant_key(run, "control")
         self._control = ControlState(partition.lattice, self._membership, token, self.counters)
+        self._control.joining = joins
         self.drain_faults: Callable[[], list[Control]] = self._control.drain_faults
         self._inbox = Dispatcher(endpoint, partition, self.counters, self._control.handle_token)
         self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._control.handle, 0)}
