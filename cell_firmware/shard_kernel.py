@@ -307,7 +307,7 @@ class ShardKernel:
         fields |= {name: self._address(array) for name, array in arrays.items()}
 
     def _turn_outboxes(self) -> None:
-        """Take note of an outbox that was filled, and let the next tick read the one that is due then."""
+        """Exchange the outboxes after a tick: the one just filled, and the one to be read next."""
         assert self._spare is not None, "this is a bug: a step before a state was bound"
         read, *later = self.outboxes
         self.outboxes, self._spare = [*later, self._spare], read
@@ -317,7 +317,7 @@ class ShardKernel:
                 self._shard[name] = value
 
     def _outbox_addresses(self) -> dict[str, int]:
-        """Return the addresses of the outbox that the next tick reads and of the one that it fills."""
+        """Return the addresses of two outboxes: to be read in the next tick, and to be filled."""
         assert self._spare is not None, "this is a bug: there are no outboxes"
         found = dict[str, int]()
         for i, (sent, message) in enumerate((self.outboxes[0], self._spare)):

@@ -145,7 +145,7 @@ class SnapshotPublisher:
             self.publish()
 
     def publish(self) -> None:
-        """Publish the snapshot that was begun, if there is one; nobody reads the messages that are not recorded."""
+        """Publish the snapshot in progress, if any."""
         if self._draft is not None:
             self.publisher.put(encode_snapshot(self._draft))
             self._draft = None
@@ -168,7 +168,7 @@ class SnapshotCollector:
         self._relayed: dict[int, MessageBytes] = {}
 
     def record(self, own: MessageCounters, relayed: Mapping[int, RelayedLinks]) -> None:
-        """Record the plant's counters before the tick, and the messages that it has not passed on."""
+        """Record the plant's counters before the tick, and the messages still to be passed on."""
         self._counts = own + MessageCounters()
         self._relayed = {
             sent_in: (links.sent.tobytes(), links.message.tobytes()) for sent_in, links in relayed.items()

@@ -56,7 +56,7 @@ class RunSchema:
 
     @property
     def lookahead(self) -> int:
-        """Ticks that the plant runs ahead of the drives that it has."""
+        """Ticks by which the plant runs ahead of the drives."""
         return self.latency.lookahead(talks=self.message is not None)
 
 

@@ -156,7 +156,7 @@ def _check(values: Any) -> None:
         *found["relayed"].values(),
         *(one for links in found["links"].values() for one in links),
     ):
-        if type(messages) is not tuple or [type(part) for part in messages] != [bytes, bytes]:
+        if type(messages) is not tuple or list(map(type, cast("Any", messages))) != [bytes, bytes]:
             raise InputError("links, relayed: messages of a tick must be two bytes each")
     for name in ("counts", "dead", "resumed"):
         if any(type(number) is not int or number < 0 for number in found[name]):

@@ -1,6 +1,6 @@
 """The two halves of a run in two network namespaces; they meet in a file and over the bus.
 
-python -m tests.system.elsewhere plant FOLDER SCENE ENDPOINT   # prints the summary
+python -m tests.system.elsewhere plant FOLDER SCENE ENDPOINT [PROCESSES]   # prints the summary
 python -m tests.system.elsewhere cells FOLDER
 """
 
@@ -13,6 +13,10 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from deploy.workers.plan import Processes
 
 _ORDER = "order.pickle"
 
@@ -40,21 +44,21 @@ class Elsewhere:
     def close(self, grace_s: float) -> None: ...
 
 
-def plant(folder: Path, scene: str, join: str) -> None:
-    """As ``mdms run --processes each --join``, but for the workers."""
+def plant(folder: Path, scene: str, join: str, processes: Processes = "each") -> None:
+    """As ``mdms run --processes PROCESSES --join``, but for the workers."""
     from deploy.runs.run import run
     from deploy.scenes.files import load_scene
     from deploy.workers import system
     from deploy.workers.plan import RunOptions
 
     system.WorkerProcesses = lambda *_: Elsewhere(folder)  # type: ignore[assignment,misc]
-    options = RunOptions("each", join=join, output=folder / "out", picture=False, insecure=True)
+    options = RunOptions(processes, join=join, output=folder / "out", picture=False, insecure=True)
     outcome = run(load_scene(scene), options, quiet=True)
     print(outcome.summary.to_json())
 
 
 def cells(folder: Path) -> None:
-    """A process a cell, as the plant orders."""
+    """A process a shard, as the plant orders."""
     import bus.transports.zenoh  # noqa: F401 - once, before the forks
 
     while not (folder / _ORDER).exists():
@@ -75,6 +79,6 @@ def cells(folder: Path) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1] == "plant":
-        plant(Path(sys.argv[2]), sys.argv[3], sys.argv[4])
+        plant(Path(sys.argv[2]), sys.argv[3], sys.argv[4], *map(int, sys.argv[5:]))
     else:
         cells(Path(sys.argv[2]))
