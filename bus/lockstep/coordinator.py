@@ -125,7 +125,7 @@ class Coordinator:
         )
         self._reported = ReportReceiver(partition, lambda: self._tick, self._membership.rejoins.on_ready)
         self._subscribe_shards("report", self._reported.handle, "urgent")
-        self._seen = RegisterReceiver(partition, wanted, self.counters, lambda: self._tick)
+        self._seen = RegisterReceiver(partition, wanted, self.counters, lambda: self._tick, self.lookahead)
         if wanted:
             self._subscribe_shards("registers", self._seen.handle)
         self._keeping: SnapshotCollector | None = None
@@ -367,8 +367,9 @@ class Coordinator:
 
     def show_registers(self) -> None:
         """Have all shards publish their registers once more, for observers; call between two ticks."""
-        self._seen.show(self._closed)
-        self._control.put(encode_control(Control("show", max(self._closed, 0))))
+        last = self._drives.latest
+        self._seen.show(last)
+        self._control.put(encode_control(Control("show", max(last, 0))))
 
     def drain_registers(self) -> list[RegisterSnapshot]:
         """Return register snapshots since the last call; a tick's snapshot is complete once its drives are gathered."""

@@ -60,13 +60,20 @@ def test_drives_act_and_messages_are_read_after_the_scenes_ticks(
     drive_ticks: int, link_ticks: int, small: Callable[[str], Path], tmp_path: Path
 ) -> None:
     scene = _scene(small, CLOCKWORK, BusSpec(sense_to_drive_ticks=drive_ticks, link_ticks=link_ticks))
-    _digest(scene, (2, "zenoh", "packed"), tmp_path)
-    drives = load(tmp_path).drives
+    options = RunOptions(2, output=tmp_path, picture=False, registers=1, trace_messages="all")
+    assert run(scene, options, quiet=True).summary.status == "ok"
+    recording = load(tmp_path)
+    drives = recording.drives
     ticks = np.arange(len(drives) - 1)
     sensed = ticks - drive_ticks
     assert (drives[:-1, :, 0] == np.where(sensed < 0, 0, sensed)[:, None] / 1024).all()
     age = np.where(sensed < 0, 0, np.where(sensed < link_ticks, -1, link_ticks))
     assert (drives[:-1, :, 1] == age[:, None] / 1024).all()
+    traced = recording.traced_messages()
+    read = [one for one in traced if one.fate == "read" and one.sent_tick is not None]
+    assert {one.read_tick - one.sent_tick for one in read if one.read_tick is not None} == {link_ticks}
+    assert {one.fate for one in traced} == {"read", "under way"}
+    assert {one.sent_tick for one in traced} == set(ticks.tolist())
 
 
 LATENCIES = [
