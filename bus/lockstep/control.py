@@ -118,9 +118,10 @@ class ControlState:
         """Whether fault records wait for ``drain_faults``."""
         return bool(self._faults)
 
-    def drain_faults(self) -> list[Control]:
-        """Return fault records received since the last call, and clear them."""
+    def drain_faults(self, tick: int) -> list[Control]:
+        """Return the fault records that act in ``tick`` or earlier and were not returned before."""
         if not self._faults:
             return []
-        faults, self._faults = self._faults, []
-        return faults
+        due = [fault for fault in self._faults if fault.tick <= tick]
+        self._faults = [fault for fault in self._faults if fault.tick > tick]
+        return due

@@ -38,6 +38,7 @@ SCRIPTS: dict[str, Smoke] = {
     "bus/keys_flood.py": Smoke(
         "--ticks 300 --seconds 0.2 --kind late", rf"put {N}; ok, {N} ticks/s, .* {N} late;"
     ),
+    "bus/latency.py": Smoke("--delay 2 --ticks 20 --settings 2", rf"1 +2 +{N} +{N} +{N} x"),
     "bus/listeners_cost.py": Smoke("--case 0 --repeat 2", rf"stuck +{N} ticks/s +ratio {N}"),
     "bus/lockstep.py": Smoke(
         "--case 0 --sessions 1 --repeat 2", rf"1 worker, packed +{N} +{N} +{N} +{N} +{N}"

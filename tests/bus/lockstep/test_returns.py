@@ -271,22 +271,26 @@ def test_frames_of_lost_senders_are_stored_only_where_a_rejoin_is_expected() -> 
     assert (collector.slot(7).missing, collector.slot(8).missing, collector.missing(9)) == (2, 0, [0, 1])
 
 
-def test_who_comes_back_keeps_whatever_comes_until_its_first_tick_is_known() -> None:
+def test_who_comes_back_keeps_whatever_comes_until_its_first_tick_is_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    early = 64
+    monkeypatch.setattr("bus.lockstep.receive.EARLY_TICKS", early)
     counts = MessageCounters()
     collector = _collector(counts)
     with pytest.raises(WireError, match="at most 64 ahead of 0"):
-        collector.handle(0, bytes([EARLY_TICKS + 1, 1]))
+        collector.handle(0, bytes([early + 1, 1]))
     collector.accept_any_tick()
-    for tick in range(100, 100 + EARLY_TICKS):
+    for tick in range(100, 100 + early):
         collector.handle(0, bytes([tick, tick]))
     with pytest.raises(WireError, match="ahead"):
         collector.handle(0, bytes([99, 1]))
-    assert (collector.early(100), collector.early(101)) == (EARLY_TICKS, EARLY_TICKS - 1)
+    assert (collector.early(100), collector.early(101)) == (early, early - 1)
     collector.start_at(103)
-    assert collector.early(0) == EARLY_TICKS - 3
+    assert collector.early(0) == early - 3
     assert (collector.now, collector.slot(103).values, collector.missing(103)) == (103, [103, 0], [1])
     with pytest.raises(WireError, match="ahead of 103"):
-        collector.handle(1, bytes([104 + EARLY_TICKS, 1]))
+        collector.handle(1, bytes([104 + early, 1]))
 
 
 def test_a_frame_that_is_over_takes_nothing_with_it_that_is_still_to_come() -> None:

@@ -43,16 +43,19 @@ ORDER = WorkerConfig(
     snapshots=True,
     messages=True,
     traced=True,
-    resumed=ResumePoint(7, (1, 2), {0: b"state"}),
+    resumed=ResumePoint(7, (1, 2), {0: b"state"}, {0: ((b"sent", b"message"),)}, {}),
 )
 ASKED = request_of(1, 2, "abc123", {"numpy": "2.1"}, b"{}")
+
+
+def vars_of(point: ResumePoint | None) -> list[object]:
+    return [getattr(point, f.name) for f in fields(ResumePoint)]
 
 
 def test_a_process_is_configured_as_the_plant_s_own_workers_are() -> None:
     answer = decode(JoinAnswer, encode(JoinAnswer.of(ORDER, 0, joins_running=False)))
     made = answer.config(SCENE, ORDER.partition, "one", 0)
-    assert made.resumed is not None
-    assert (made.resumed.tick, made.resumed.dead, made.resumed.states) == (7, (1, 2), {0: b"state"})
+    assert vars_of(made.resumed) == vars_of(ORDER.resumed)
     own = replace(made, resumed=ORDER.resumed, connect=ORDER.connect, array=ORDER.array, killed=True)
     differing = [f.name for f in fields(own) if getattr(own, f.name) != getattr(ORDER, f.name)]
     assert differing == []
