@@ -109,7 +109,7 @@ def test_a_run_over_three_hosts_has_the_digest_of_one_process_although_a_host_is
 def test_a_router_that_is_restarted_loses_all_cells_by_name_and_they_rejoin_when_started_again(
     hosts: Hosts, small: Small, tmp_path: Path
 ) -> None:
-    scene = small()
+    scene = small(PATIENT)
     scene.write_text(scene.read_text().replace("duration_s = 0.2", "duration_s = 12.0"))
     apart = Apart(hosts, scene, tmp_path / "out", "--realtime", "--respawn", 4)
     apart.wait_until_recorded(12_000)
