@@ -41,6 +41,7 @@ def cells_fingerprint(scene: Scene) -> dict[str, str]:
 
     The scene's part doesn't cover limits on the wall clock, such as ``stall.start_s``: these may differ.
     """
+    from bus import elementary
     from bus.kernel_cache.processor import level
 
     found = versions()
@@ -48,6 +49,7 @@ def cells_fingerprint(scene: Scene) -> dict[str, str]:
     return {
         **{name: found[name] for name in _OF_CELLS},
         "processor level": " ".join(level()).strip(),
+        "the C library's functions": elementary.fingerprint(),
         "the scene": sha256(scene.canonical()).hexdigest(),
         "the cells' program": _program(scene),
     }
