@@ -139,7 +139,7 @@ class Elsewhere(ScalarProgram):
 
 def test_a_step_that_calls_what_can_t_be_compiled_with_it_is_refused_by_name() -> None:
     with pytest.raises(
-        FirmwareError, match=r"Elsewhere\.cell_step calls run_in_python: it may call functions of its"
+        FirmwareError, match=r"Elsewhere\.cell_step calls run_in_python: it may call functions that are"
     ):
         load(CellsSpec(firmware=f"{__name__}:Elsewhere"))
 
