@@ -89,8 +89,8 @@ def test_a_mutant_is_found(
 
 
 def mean_error(faults: Any) -> float:
-    parameters = {"values": [{"cell": [0, 0], "value": 12.0}]}
-    lab = Lab("push_sum", (3, 4), parameters=parameters, faults=faults, check=None, seed=3).step(120)
+    parameters = {"values": [{"cell": [0, 0], "value": 6.0}]}
+    lab = Lab("push_sum", (2, 3), parameters=parameters, faults=faults, check=None, seed=3).step(80)
     return float(abs(lab.registers["estimate"] - 1.0).max())
 
 
