@@ -273,7 +273,7 @@ def _helpers(step: Callable[..., Any]) -> tuple[FunctionType, ...]:
 
 
 def _text(step: Callable[..., Any]) -> str:
-    """Return the source of a step and of its helpers, and their files' constants that occur in them."""
+    """Return the source of a step and its helpers, and the constants of their files that occur in the source."""
     texts: list[str] = []
     for function in (cast("FunctionType", step), *_helpers(step)):
         constants: dict[str, str] = {
