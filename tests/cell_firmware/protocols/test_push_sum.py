@@ -12,6 +12,7 @@ from cell_firmware.errors import ParametersError
 from cell_firmware.protocols.push_sum import PushSum, PushSumParameters
 from cell_firmware.scalar_program import PYTHON
 from mdms import Lab
+from mdms.kit import MODULUS
 
 
 @pytest.fixture(autouse=True)
@@ -62,6 +63,15 @@ def test_after_a_death_the_others_agree_on_a_number_in_the_range_of_values() -> 
     estimate = lab.registers["estimate"][1:]
     assert np.ptp(estimate) < 1e-5
     assert -3.0 < estimate[0] < 9.0
+
+
+def test_running_sums_wrap() -> None:
+    names = ("pushed_mass", "pushed_weight", "seen_mass", "seen_weight")
+    near = {name: [MODULUS - 2] * 4 for name in names}
+    labs = [Lab("push_sum", (2, 3), parameters=VALUES, initial_registers=begun) for begun in ({}, near)]
+    plain, wrapped = (lab.record("estimate", 30) for lab in labs)
+    np.testing.assert_array_equal(plain, wrapped)
+    assert (labs[1].registers["pushed_mass"].min(axis=1) < MODULUS - 2).any()
 
 
 def test_wheels_run_at_the_estimate_within_the_range_of_values_whatever_messages_bring() -> None:
