@@ -7,13 +7,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell_firmware.protocols.spanning_tree import SpanningTree
 from deploy.recordings.reader import load
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
 from deploy.workers.plan import RunOptions
+from deploy.workers.worker import compile_program
 
 ROOTS_M = ((0.4, -0.2), (-0.4, 0.2))
 DIES_S = 8.0
+
+
+def test_its_program_is_compiled_ahead_of_a_run_and_not_where_the_scene_is_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    compiled: list[str] = []
+    monkeypatch.setattr(SpanningTree, "scalar_kernels", lambda program: compiled.append(program.form))
+    scene = load_scene("tree")
+    assert compiled == []
+    compile_program(scene)
+    assert compiled == ["compiled"]
+    compile_program(load_scene("elliptic"))
+    assert compiled == ["compiled"]
 
 
 @pytest.mark.slow
