@@ -16,6 +16,7 @@ from deploy.workers.worker import (
     ResumePoint,
     WorkerConfig,
     cell_faults,
+    compile_program,
     make_controller,
     modules_of,
     open_session,
@@ -82,6 +83,8 @@ class System:
         self._stopped = False
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
         self._processes = WorkerProcesses(plan, modules_of(scene)) if plan.workers else None
+        if plan.workers:
+            compile_program(scene)  # once, and before deadlines: workers load it from disk
 
     def __enter__(self) -> Self:
         return self
