@@ -54,6 +54,9 @@ SCRIPTS: dict[str, Smoke] = {
     "deploy/campaign_cost.py": Smoke(
         "--runs 2 --turns 1 --duration 0.05", rf"1 job {N}, 2 jobs {N}: {N} times"
     ),
+    "deploy/cluster_campaign.py": Smoke(
+        "--runs 4 --turn 4 --duration 0.05", rf"of ideal: {N} by wall time, {N} by processor time"
+    ),
     "deploy/campaign_intervals.py": Smoke("--samples 20", rf"exponential +50 +{N}% +{N}%"),
     "deploy/checkpoint_cost.py": Smoke(
         "--repeats 1 --every 0.1 --quick", rf"18 +{N} +{N} +{N} +{N} +{N} +{N}"
@@ -118,7 +121,11 @@ SCRIPTS: dict[str, Smoke] = {
     "protocols/vehicle_over_bad_links.py": Smoke("--seeds 1", rf" {N} of {N}\s*$"),
 }
 
-NEEDS = {"plant/contact_queues.py": "mujoco", "plant/mujoco_parcel.py": "mujoco"}
+NEEDS = {
+    "deploy/cluster_campaign.py": "distributed",
+    "plant/contact_queues.py": "mujoco",
+    "plant/mujoco_parcel.py": "mujoco",
+}
 """Packages that come with an extra."""
 
 
