@@ -274,7 +274,7 @@ def campaign(
 
 
 class _Execution(NamedTuple):
-    """Options of a campaign that don't change its results.
+    """Execution of a campaign, without effect on results.
 
     Attributes:
         jobs: Simultaneous runs on this machine; None: one per processor.

@@ -85,3 +85,42 @@ def dask_cluster(folder: Path, workers: int, options: tuple[str, ...] = ()) -> I
         yield cluster
     finally:
         cluster.end()
+
+
+@contextmanager
+def credentials(folder: Path) -> Iterator[tuple[str, ...]]:
+    """Make a certificate that all processes share; options of Dask's commands, and the environment of clients."""
+    import dask.config
+
+    certificate, key = folder / "cluster.pem", folder / "cluster-key.pem"
+    made = (
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:P-256",
+        "-nodes",
+        "-days",
+        "30",
+        "-subj",
+        "/CN=dask",
+    )
+    subprocess.run(
+        ["openssl", "req", "-x509", *made, "-keyout", str(key), "-out", str(certificate)],
+        check=True,
+        capture_output=True,
+    )
+    settings = {"ca-file": certificate, "client.cert": certificate, "client.key": key}
+    named = {f"distributed.comm.tls.{name}": str(path) for name, path in settings.items()}
+    environment = {
+        f"DASK_{name.upper().replace('.', '__').replace('-', '_')}": path for name, path in named.items()
+    }
+    os.environ.update(environment)
+    try:
+        with dask.config.set(named):
+            yield (
+                *("--protocol", "tls", "--tls-ca-file", str(certificate)),
+                *("--tls-cert", str(certificate), "--tls-key", str(key)),
+            )
+    finally:
+        for name in environment:
+            os.environ.pop(name)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy.cli import main
-from tests.system.dask_processes import Dask, dask_cluster
+from tests.system.dask_processes import Dask, credentials, dask_cluster
 from tests.system.running import Mdms, is_alive
 
 pytest.importorskip("distributed")
@@ -67,7 +67,9 @@ coefficient_s_per_m = 0.2
 
 @pytest.fixture(scope="module")
 def dask(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dask]:
-    with dask_cluster(tmp_path_factory.mktemp("dask"), 2) as cluster:
+    """A cluster over TLS, whose credentials the environment names."""
+    folder = tmp_path_factory.mktemp("dask")
+    with credentials(folder) as options, dask_cluster(folder, 2, options) as cluster:
         yield cluster
 
 
@@ -126,6 +128,18 @@ def test_a_killed_worker_costs_its_runs_in_flight_and_nothing_is_done_twice(
     assert digests(folder) == digests(whole)
     for name in LEFT:
         assert (folder / name).read_bytes() == (whole / name).read_bytes()
+
+
+def test_without_credentials_nobody_uses_the_cluster(
+    scene: Path, dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mdms: Callable[..., Mdms]
+) -> None:
+    assert dask.address.startswith("tls://127.0.0.1:")
+    for name in [name for name in os.environ if name.startswith("DASK_")]:
+        monkeypatch.delenv(name)
+    running = mdms("campaign", scene, *ASKED, *VARIED, "--cluster", dask.address, "--output", tmp_path / "no")
+    status, _, stderr = running.end()
+    assert status == 2
+    assert "set Dask's credentials (docs/clusters.md)" in stderr
 
 
 def test_a_worker_that_would_have_other_bits_is_refused_by_name(
