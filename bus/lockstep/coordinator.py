@@ -293,6 +293,11 @@ class Coordinator:
             drive[~live] = 0.0
         return drive
 
+    def awaited(self) -> list[int]:
+        """Return the shards whose drives of the next tick to gather have not arrived; from any thread."""
+        shard_of, cells = self._wiring.partition.shard_of, self._form.unit_cells
+        return sorted({int(shard_of[int(cells[unit][0])]) for unit in self._drives.awaited()})
+
     # --- who takes part -------------------------------------------------------------------------
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:

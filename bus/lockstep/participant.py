@@ -401,6 +401,11 @@ class Participant:
         self._membership.mark_dead(cells, tick)
 
     @property
+    def stopped(self) -> bool:
+        """Whether the plant's stop record has come."""
+        return self._control.stop is not None
+
+    @property
     def unchanged(self) -> bool:
         """Whether no cell of the run ever died: masks of live cells can be skipped."""
         return self._lives.unchanged

@@ -269,7 +269,7 @@ def run(
         checkpoint_s=checkpoint,
     )
     with ExitStack() as held:
-        started = _prepare(scene_options, options, resume, held, read_only=show_plan)
+        started = prepare(scene_options, options, resume, held, read_only=show_plan)
         if show_plan:
             print_plan(plan(started.scene, started.options, "RUN"), as_json=scene_options.as_json)
             return
@@ -278,7 +278,7 @@ def run(
         execute("the run", work, as_json=scene_options.as_json)
 
 
-class _Prepared(NamedTuple):
+class PreparedRun(NamedTuple):
     """A run to execute.
 
     Attributes:
@@ -292,6 +292,10 @@ class _Prepared(NamedTuple):
     options: RunOptions
     checkpoint: Checkpoint | None
     lock: OutputLock | None
+
+    def named(self, name: str) -> PreparedRun:
+        """Return the same run with a name on the bus."""
+        return self._replace(options=replace(self.options, name=name))
 
     def run(self, interruption: Interruption, *, quiet: bool) -> Outcome:
         """Execute the run until its end, or until it is interrupted."""
@@ -307,14 +311,15 @@ class _Prepared(NamedTuple):
         )
 
 
-def _prepare(
+def prepare(
     scene_options: RunSceneOptions,
     options: RunOptions,
     resume: Path | None,
     held: ExitStack,
     *,
     read_only: bool,
-) -> _Prepared:
+    command: str = "mdms run",
+) -> PreparedRun:
     """Load the scene of a new run, or the checkpoint of a resumed one.
 
     Args:
@@ -323,17 +328,18 @@ def _prepare(
         resume: Output folder of the run to resume; None: the run is new.
         held: Releases the lock of that folder.
         read_only: Whether the folder is only read, which needs no lock.
+        command: The command, for messages.
 
     Raises:
         InputError: No scene is named, the scene is refused, or the run can't be resumed.
     """
     if resume is None:
         if not scene_options.scene:
-            raise InputError("mdms run: name a SCENE, or a run to resume: --resume DIR")
-        return _Prepared(scene_options.load(), options, None, None)
+            raise InputError(f"{command}: name a SCENE, or a run to resume: --resume DIR")
+        return PreparedRun(scene_options.load(), options, None, None)
     check_unchanged(resume, scene_options)
     lock = None if read_only else held.enter_context(lock_of(resume, quiet=scene_options.quiet))
-    return _Prepared(*taken_up(resume, options), lock)
+    return PreparedRun(*taken_up(resume, options), lock)
 
 
 def check_unchanged(folder: Path, scene_options: RunSceneOptions) -> None:

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
 from bus.errors import BusError
+from bus.wire.keys import plant_key
+from deploy.util.formatting import say
+from deploy.workers.external import ExternalWorkers
 from deploy.workers.groups import WorkerGroup, WorkerProcesses, WorkerThread
-from deploy.workers.plan import Plan, RunOptions, host_of, loopback_address
+from deploy.workers.listening import host_of, loopback_address
+from deploy.workers.plan import Plan, RunOptions
+from deploy.workers.status import RunStatus
 from deploy.workers.worker import (
     ResumePoint,
     WorkerConfig,
@@ -27,10 +33,11 @@ if TYPE_CHECKING:
     from bus.sensors import SensorSchema
     from bus.transports.base import Endpoint
     from bus.transports.zenoh.access_log import AccessLogMonitor
-    from bus.transports.zenoh.requests import RequestQueue
+    from bus.transports.zenoh.requests import RequestQueue, Responder
     from deploy.scenes.scene import Scene
     from deploy.security.keyring import Keyring
     from deploy.workers.access import Access
+    from deploy.workers.presence import Presence
     from plant.array import CellArray
 
 _STOP_S = 5.0
@@ -57,6 +64,7 @@ class System:
 
     Attributes:
         locator: Endpoint for listeners and operators; empty before ``open`` and with the memory transport.
+        status: Status of the run, which operators may ask for; None before ``open`` and with the memory transport.
         refusals: Monitor of denials by the plant's sessions; None before ``open`` and without access control.
         coordinator: Coordinator of the lockstep; None before ``start``.
         unreported: Indices of the cells that were alive at the end and whose counters did not arrive in time.
@@ -81,7 +89,12 @@ class System:
         self._running = False
         self._stopped = False
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
-        self._processes = WorkerProcesses(plan, modules_of(scene)) if plan.workers else None
+        forked = plan.workers > 0 and not plan.external
+        self._processes = WorkerProcesses(plan, modules_of(scene)) if forked else None
+        self._external: ExternalWorkers | None = None
+        self._presence: Presence | None = None
+        self._responder: Responder | None = None
+        self.status: RunStatus | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -91,11 +104,15 @@ class System:
     ) -> None:
         self.stop()
 
-    def open(self) -> None:
+    def open(self, check: Callable[[], None] | None = None) -> None:
         """Open the plant's endpoints.
+
+        Args:
+            check: Called while a router is waited for; may raise to end the wait.
 
         Raises:
             InputError: A port is in use, or an endpoint is invalid or reachable from more than is allowed.
+            DeployError: No router listens in time.
         """
         if self._plan.transport == "memory":
             from bus.transports.memory import MemoryBus
@@ -105,16 +122,44 @@ class System:
             self._cells = WorkerThread(bus.endpoint())
             return
         from deploy.workers.access import Access
+        from deploy.workers.presence import Presence
 
         self._access = Access(self._plan, self._scene.stall, self._options, self._keyring)
-        hub = self._access.open()
+        hub = self._access.open(check)
         self._endpoint, self.refusals, self.locator = hub, hub.refusals, self._access.locator
-        self._cells = self._processes or WorkerThread(
-            open_session(self._access.join, self._keys(), 0, self._scene.stall)
+        presence = self._presence = Presence(hub, self._plan.run, self._plan.partition)
+        if self._plan.external:
+            self._external = ExternalWorkers(self._plan, self._scene, hub, presence, say)
+        self._cells = (
+            self._external
+            or self._processes
+            or WorkerThread(open_session(self._access.join, self._keys(), 0, self._scene.stall))
         )
+        self._serve_status(self._access, presence)
+
+    def _serve_status(self, access: Access, presence: Presence) -> None:
+        """Answer requests for the status of the run."""
+        from bus.transports.zenoh.requests import Responder
+
+        external = self._external
+        self.status = RunStatus(
+            self._plan,
+            self._scene.duration_s,
+            presence,
+            None if external is None else external.holder,
+        )
+        queue = access.questions(plant_key(self._plan.run, "status"))
+        self._responder = Responder({queue: self.status.answer})
+
+    @property
+    def join(self) -> str:
+        """Endpoint to which processes of cells connect; empty before ``open`` and with the memory transport."""
+        return "" if self._access is None else self._access.join
 
     def _keys(self) -> tuple[Path, ...]:
-        return () if self._keyring is None else self._keyring.of_cells(self._plan.cut)
+        if self._keyring is None or self._plan.external:
+            return ()
+        return self._keyring.of_cells(self._plan.cut)
 
     def start(
         self,
@@ -166,7 +211,7 @@ class System:
             byte_accurate_links=live,
             joins_running=False,
             keys=self._keys(),
-            own_process=plan.workers > 0,
+            own_process=self._processes is not None,
             snapshots=keeps,
             messages=messages,
             traced=traced,
@@ -188,6 +233,8 @@ class System:
             host.resume(resumed.tick, resumed.dead, counted)
         self._cells.start(order)
         self._barrier(host, self._endpoint, self._cells)
+        if self._external is not None:
+            self._external.begin()
         self._running = True
         return host
 
@@ -242,7 +289,7 @@ class System:
                     break
             cells.check()  # why a worker is not there says more than that it is not
         if failed:
-            raise failed
+            raise failed if self._external is None else self._external.explained(failed)
 
     def explain(self) -> str:
         """Return the tracebacks of the workers that raised, or an empty string."""
@@ -269,6 +316,8 @@ class System:
                 self.unreported = self.coordinator.unreported if self._running else []
         finally:
             try:
+                if self._responder is not None:
+                    self._responder.close()
                 for side in (self._cells, self._processes):
                     if side is not None:
                         side.close(max(deadline - time.monotonic(), _LEAVE_S) if self._running else 0.0)
@@ -284,5 +333,6 @@ def _keyring(folder: Path, plan: Plan, options: RunOptions) -> Keyring:
 
     keyring = Keyring(folder)
     for endpoint in (options.listen, options.join):
-        keyring.check(plan.cut, None if endpoint is None else host_of(loopback_address(endpoint)))
+        host = None if endpoint is None else host_of(loopback_address(endpoint))
+        keyring.check(plan.cut, host, plant_alone=plan.external)
     return keyring

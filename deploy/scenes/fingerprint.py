@@ -1,0 +1,68 @@
+"""Fingerprint of a run: everything that determines its bits, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from hashlib import sha256
+from inspect import getsourcefile
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from deploy.util.files import versions
+
+if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
+
+_OF_CELLS: Final = ("mdms-emulator", "python", "machine", "numpy", "numba", "llvmlite")
+"""Versions that decide the bits of a process of cells; those of other libraries may differ between hosts."""
+_SHORT: Final = 12
+"""Characters of a hash that people are shown."""
+
+
+def fingerprint(scene: Scene) -> dict[str, str]:
+    """Return everything that determines the bits of a run, by name."""
+    from plant.kernels.common.cache import key
+
+    return {
+        **versions(),
+        "the plant's kernels": key(),
+        "the scene": sha256(scene.canonical()).hexdigest(),
+        "the cells' program": _program(scene),
+    }
+
+
+def cells_fingerprint(scene: Scene) -> dict[str, str]:
+    """Return everything that determines the bits of a process of cells, by name.
+
+    The scene's part doesn't cover limits on the wall clock, such as ``stall.start_s``: these may differ.
+    """
+    from bus.kernel_cache.processor import level
+
+    found = versions()
+    found["python"] = found["python"].rpartition(".")[0]  # patches of Python change no arithmetic
+    return {
+        **{name: found[name] for name in _OF_CELLS},
+        "processor level": " ".join(level()).strip(),
+        "the scene": sha256(scene.canonical()).hexdigest(),
+        "the cells' program": _program(scene),
+    }
+
+
+def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
+    """Return what differs between two fingerprints, such as ``numpy 2.1.0, not 2.2.0``: first there, then here."""
+    return [
+        f"{name} {there.get(name, 'unknown')[:_SHORT]}, not {value[:_SHORT]}"
+        for name, value in here.items()
+        if there.get(name) != value
+    ]
+
+
+def _program(scene: Scene) -> str:
+    """Return the hash of the file of the cells' program; empty where the program has no file."""
+    from cell_firmware.cell import PerCellAdapter
+    from cell_firmware.loader import load
+
+    firmware = load(scene.cells)
+    own = firmware.firmware if isinstance(firmware, PerCellAdapter) else firmware
+    path = getsourcefile(type(own))
+    return "" if path is None else sha256(Path(path).read_bytes()).hexdigest()
