@@ -48,6 +48,11 @@ def cells_fingerprint(scene: Scene) -> dict[str, str]:
     }
 
 
+def run_fingerprint(scene: Scene) -> dict[str, str]:
+    """Return everything that determines the bits of a run whose plant and cells share a host, by name."""
+    return {**fingerprint(scene), **cells_fingerprint(scene)}
+
+
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
     """Return what differs between two fingerprints, such as ``numpy 2.1.0, not 2.2.0``: first there, then here."""
     return [

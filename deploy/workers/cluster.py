@@ -12,8 +12,9 @@ from types import TracebackType
 from typing import Any, Final, Self, final
 
 from deploy.errors import InputError
+from deploy.scenes.fingerprint import differences
 from deploy.util.formatting import plural
-from deploy.workers.plan import is_local
+from deploy.workers.listening import is_local
 
 LOCAL: Final = "local"
 """Address of a cluster that is started on this machine and ends with the command."""
@@ -78,6 +79,11 @@ class DaskCluster:
         """Return the number of tasks that each worker runs at a time, by its address."""
         return dict(self.client.nthreads())
 
+    def least_busy(self, number: int) -> list[str]:
+        """Return the addresses of so many workers, those with the fewest tasks."""
+        tasks: dict[str, Any] = self.client.processing()
+        return sorted(self.threads(), key=lambda worker: (len(tasks.get(worker, ())), worker))[:number]
+
     def hosts(self) -> dict[str, str]:
         """Return one worker of each host, by the host."""
         workers = self.client.scheduler_info(n_workers=-1)["workers"]
@@ -103,6 +109,23 @@ class DaskCluster:
         if lines:
             raise InputError("\n".join(lines))
         return here
+
+
+def connect_for(address: str, shards: int, *, insecure: bool) -> DaskCluster:
+    """Connect to a cluster that has a worker for each shard.
+
+    Raises:
+        InputError: There is no such cluster, or it has fewer workers.
+    """
+    cluster = DaskCluster(address, shards, insecure=insecure)
+    there = len(cluster.threads())
+    if there >= shards:
+        return cluster
+    cluster.close()
+    raise InputError(
+        f"{_OPTION} {address}: has {plural(there, 'worker')} for {plural(shards, 'shard')}, and each shard needs a "
+        f"worker of its own: start more, or --processes {max(there, 1)}"
+    )
 
 
 def scheduler_address(text: str, *, insecure: bool) -> str:
@@ -131,19 +154,10 @@ def scheduler_address(text: str, *, insecure: bool) -> str:
     return f"{protocol}://{match['place']}"
 
 
-def differences(found: Mapping[str, str], here: Mapping[str, str]) -> str:
-    """Describe each fact in which a worker differs from this process; empty without a difference."""
-    return "; ".join(
-        f"{name} {found.get(name, 'unknown')}, here {here.get(name, 'unknown')}"
-        for name in sorted(found.keys() | here.keys())
-        if found.get(name) != here.get(name)
-    )
-
-
 def _difference(address: str, found: Any, here: Mapping[str, str]) -> str:
     if isinstance(found, BaseException):
         return f"{_OPTION}: worker {address}: {type(found).__name__}: {found}"
-    other = differences(found, here)
+    other = "; ".join(differences(here, found))
     return f"{_OPTION}: worker {address} differs, and so would its digests: {other}" if other else ""
 
 

@@ -33,7 +33,8 @@ class Dask:
 
     def begin(self) -> None:
         """Start the scheduler."""
-        self._start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(self.file))
+        loopback = ("--port", "0", "--dashboard-address", "127.0.0.1:0")
+        self._start("scheduler", *loopback, "--scheduler-file", str(self.file))
         deadline = time.monotonic() + PATIENCE_S
         while not self.address:
             assert time.monotonic() < deadline, "no scheduler came"

@@ -12,7 +12,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, final
 
 from deploy.errors import DeployError
-from deploy.runs.facts import bit_facts
+from deploy.scenes.fingerprint import run_fingerprint
 from deploy.studies.campaign.cluster_worker import RunOrder, compile_kernels, run_scene, stop_runs
 from deploy.studies.campaign.result import CaseRecord
 
@@ -64,7 +64,7 @@ class ClusterExecutor:
         self._threads = 0
         self._counted = -_WATCH_S
         self._waits = False
-        facts = cluster.check_alike(partial(bit_facts, scene))
+        facts = cluster.check_alike(partial(run_fingerprint, scene))
         self._order = RunOrder(secrets.token_hex(8), scene, facts, limit_s, check)
 
     def warm(self, scenes: Sequence[Scene]) -> None:

@@ -9,9 +9,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, final
 
 from deploy.errors import DeployError, InputError
-from deploy.runs.facts import bit_facts
+from deploy.scenes.fingerprint import differences, run_fingerprint
 from deploy.studies.campaign.pool import ExecutorPool
-from deploy.workers.cluster import differences
 from deploy.workers.pool import WorkerPool
 
 if TYPE_CHECKING:
@@ -26,7 +25,7 @@ _IDLE_S: Final = 20.0
 _stopped: set[str] = set()
 """Campaigns whose runs are to end."""
 
-_checked: dict[str, str] = {}
+_checked: dict[str, list[str]] = {}
 """Differences of this worker from the process of a campaign, by campaign."""
 
 
@@ -115,9 +114,9 @@ def run_scene(scene: Scene, order: RunOrder) -> CaseRecord:
         StoppedError: The campaign was interrupted.
     """
     if order.campaign not in _checked:
-        _checked[order.campaign] = differences(bit_facts(order.scene), order.facts)
+        _checked[order.campaign] = differences(order.facts, run_fingerprint(order.scene))
     if _checked[order.campaign]:
-        raise OtherFactsError(f"differs from the campaign's start: {_checked[order.campaign]}")
+        raise OtherFactsError(f"differs from the campaign's start: {'; '.join(_checked[order.campaign])}")
     if not hasattr(_own, "process"):
         _own.process = _RunProcess()
     process: _RunProcess = _own.process

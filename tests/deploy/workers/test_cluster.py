@@ -10,7 +10,7 @@ import pytest
 
 from deploy.cli import main
 from deploy.errors import InputError
-from deploy.workers.cluster import DaskCluster, differences, scheduler_address
+from deploy.workers.cluster import DaskCluster, scheduler_address
 
 
 @pytest.mark.parametrize(
@@ -58,12 +58,6 @@ def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install 'mdms-emulator\[cluster\]'"):
         DaskCluster("127.0.0.1:1", 1)
-
-
-def test_differences_are_named_on_both_sides() -> None:
-    assert differences({"numpy": "2.1", "a": "1"}, {"numpy": "2.2", "a": "1"}) == "numpy 2.1, here 2.2"
-    assert differences({}, {"numpy": "2.2"}) == "numpy unknown, here 2.2"
-    assert not differences({"numpy": "2.2"}, {"numpy": "2.2"})
 
 
 @pytest.mark.parametrize(

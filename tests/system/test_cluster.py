@@ -1,4 +1,4 @@
-"""``mdms campaign --cluster``: the same table as on one machine, whatever happens to a worker."""
+"""``mdms campaign`` and ``mdms run`` with ``--cluster``: results as on one machine, whatever happens to a worker."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from deploy.cli import main
+from deploy.workers.cluster import DaskCluster
 from tests.system.dask_processes import Dask, credentials, dask_cluster
-from tests.system.running import Mdms, is_alive
+from tests.system.running import Mdms, is_alive, summary_of
+from tests.system.small import small_scene
 
 pytest.importorskip("distributed")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(120)]
@@ -113,7 +116,7 @@ def test_a_killed_worker_costs_its_runs_in_flight_and_nothing_is_done_twice(
     running.process.send_signal(signal.SIGINT)
     status, _, stderr = running.end()
     assert status == 130, stderr
-    assert f"scheduler {dask.address}, " in stderr
+    assert f"Dask scheduler {dask.address}, 2 workers, dashboard http://127.0.0.1:" in stderr
     done = journal.read_bytes()
     over = done.count(b"\n")
     assert over < 3 * SEEDS
@@ -145,8 +148,6 @@ def test_without_credentials_nobody_uses_the_cluster(
 def test_a_worker_that_would_have_other_bits_is_refused_by_name(
     scene: Path, dask: Dask, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.workers.cluster import DaskCluster
-
     other = dask.add_worker({"NUMBA_CPU_NAME": "generic"})
     with DaskCluster(dask.address, 1) as cluster:
         cluster.client.wait_for_workers(3, 60.0)
@@ -154,7 +155,7 @@ def test_a_worker_that_would_have_other_bits_is_refused_by_name(
     assert main(["campaign", str(scene), *ASKED, *VARIED, *output]) == 2
     said = capsys.readouterr().err
     assert "differs, and so would its digests: " in said
-    assert "processor level generic, here " in said
+    assert "processor level generic, not " in said
     other.kill()
     other.wait()
     dask.workers.remove(other)
@@ -196,6 +197,63 @@ def test_a_killed_campaign_goes_on_with_the_same_workers(
     assert main(["campaign", "--resume", str(folder), "--cluster", dask.address, "--quiet"]) == 0
     assert digests(folder) == digests(whole)
     assert all(is_alive(worker.pid) for worker in dask.workers)
+
+
+# --- one run, its shards on the cluster -----------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def coupled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Scene of cells that talk, which ends where a process of cells is lost."""
+    path = tmp_path_factory.mktemp("coupled") / "coupled.toml"
+    path.write_text(small_scene(duration_s=3.0) + '\n[stall]\npolicy = "abort"\n')
+    return path
+
+
+def ran(arguments: list[object], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """Summary of a run that is to end well."""
+    assert main(["run", *map(str, arguments), "--no-picture", "--json", "--quiet"]) == 0
+    return summary_of(capsys.readouterr().out)
+
+
+def test_a_run_whose_dask_worker_is_killed_resumes_to_the_digest_of_one_process(
+    coupled: Path, dask: Dask, tmp_path: Path, mdms: Callable[..., Mdms], capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = ran([coupled, "--processes", "0", "--output", tmp_path / "whole"], capsys)
+    placed = ("--processes", "2", "--cluster", dask.address)
+    there = ran([coupled, *placed, "--output", tmp_path / "there"], capsys)
+    assert there["digest"] == whole["digest"]
+
+    folder = tmp_path / "cut"
+    more = ("--realtime", "--checkpoint", "0.2", "--no-picture", "--json")
+    running = mdms("run", coupled, *placed, *more, output=folder)
+    running.wait_for((folder / "checkpoint.msgpack").exists, "a checkpoint was written", 60.0)
+    victim = dask.workers.pop()
+    victim.kill()
+    victim.wait()
+    status, stdout, stderr = running.end()
+    assert status == 1, stderr
+    assert 0 < summary_of(stdout)["ticks"] < whole["ticks"]
+
+    dask.add_worker()
+    with DaskCluster(dask.address, 1) as cluster:
+        cluster.client.wait_for_workers(2, 60.0)
+    resumed = ran(["--resume", folder, "--cluster", dask.address], capsys)
+    assert resumed["resumed"]
+    assert (resumed["digest"], resumed["ticks"]) == (whole["digest"], whole["ticks"])
+
+
+def test_a_cluster_with_fewer_workers_than_shards_is_refused(
+    coupled: Path, dask: Dask, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = ("--output", str(tmp_path / "out"), "--cluster", dask.address)
+    assert main(["run", str(coupled), *output, "--processes", "3"]) == 2
+    assert "has 2 workers for 3 shards, and each shard needs a worker of its own" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert main(["run", str(coupled), *output]) == 2
+    assert "needs --processes N, the number of shards" in capsys.readouterr().err
+    assert main(["run", str(coupled), *output, "--processes", "2", "--respawn", "1"]) == 2
+    assert "--respawn: doesn't go with --cluster" in capsys.readouterr().err
 
 
 def listening(pids: set[int]) -> set[str]:
