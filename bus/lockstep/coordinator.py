@@ -317,7 +317,12 @@ class Coordinator:
         Returns:
             Indices of the readmitted cells, ascending. Their drives are expected from ``tick`` on, and the rejoin has
             been announced to all shards.
+
+        Raises:
+            WaitInterrupted: ``endpoint.wake`` was called.
         """
+        if self._membership.rejoins:
+            self._inbox.poll(0.0)  # while no cell is live, nothing else reads what arrives
         return self._membership.admit(tick)
 
     # --- what shards remember and show ----------------------------------------------------------

@@ -33,8 +33,8 @@ KeysOption = Annotated[
     typer.Option(
         "--keys",
         metavar="DIR",
-        help="Admit only processes with keys from this folder, with their role's permissions (mdms keys). Of the roles' "
-        "folders only router/ is needed.",
+        help="Admit only processes with keys from this folder, with their role's permissions (mdms keys). Of the "
+        "folders of roles only router/ is needed.",
     ),
 ]
 InsecureOption = Annotated[

@@ -131,7 +131,12 @@ class Keyring:
         return self._gate(QUESTION_LIMITS, part_of(self._access(), operators=True), PLANT)
 
     def router_gate(self) -> AccessPolicy:
-        """Return the access policy of a router; it limits no sizes."""
+        """Return the access policy of a router; it limits no sizes.
+
+        Raises:
+            InputError: The router's keys are missing or not valid.
+        """
+        _check(identity_of(self._folder / ROUTER, ROUTER), ROUTER)
         return self._gate([], router_access(self._access(), self.about.kind), ROUTER)
 
     def _gate(self, limits: list[dict[str, Any]], access: dict[str, Any], role: str) -> AccessPolicy:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, final
 from bus.errors import BarrierError, BusError
 from bus.wire.keys import shard_key
 from deploy.errors import DeployError
-from deploy.scenes.fingerprint import cells_fingerprint, differences
+from deploy.scenes.fingerprint import cells_fingerprint, differences, scene_differences
 from deploy.workers.join import JoinAnswer, JoinRefusal, JoinRequest, decode, encode
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ class ExternalWorkers:
     ) -> None:
         self._plan = plan
         self._facts = cells_fingerprint(scene)
+        self._scene = scene.canonical()
         self._endpoint = endpoint
         self._presence = presence
         self._warn = warn
@@ -103,12 +104,11 @@ class ExternalWorkers:
             return self._holders.get(shard)
 
     def trouble(self, timeout_s: float) -> bool:
-        """Wait, name missing shards now and then, and return False: a refused process may be followed by the right one."""
+        """Wait, name missing shards now and then, and return False: after a refused process the right one may come."""
         time.sleep(timeout_s)
         if time.monotonic() - self._reported_s > _REPORT_S:
             self._reported_s = time.monotonic()
-            missing = sorted(set(range(self._plan.partition.count)) - self._presence.shards("ready"))
-            if missing:
+            if missing := self._missing():
                 self._warn(
                     f"waiting for {len(missing)} of {self._plan.partition.count} shards: {_named(missing)}"
                 )
@@ -119,16 +119,24 @@ class ExternalWorkers:
         return False
 
     def check(self) -> None:
-        """Do nothing: the barrier names what is missing."""
+        """Do nothing; the barrier reports missing shards."""
 
     def explained(self, error: BusError) -> BusError:
-        """Return the barrier's error with the processes that were refused, and why."""
+        """Return the error of the barrier, with the missing shards, the refused processes and the reasons."""
+        if not isinstance(error, BarrierError):
+            return error
         with self._lock:
             refused = [why for _, why in self._refused.values()]
-        if not refused or not isinstance(error, BarrierError):
-            return error
-        reasons = "; ".join(refused[:_NAMED])
-        return BarrierError(f"{error}; refused: {reasons}", absent=error.absent, unready=error.unready)
+        missing, text = self._missing(), str(error)
+        if missing and self._plan.setting != "each":  # else a shard is a cell, which has been named
+            text += f"; missing shards: {_named(missing)}"
+        if refused:
+            text += f"; refused: {'; '.join(refused[:_NAMED])}"
+        return BarrierError(text, absent=error.absent, unready=error.unready)
+
+    def _missing(self) -> list[int]:
+        """Return the shards that are not here."""
+        return sorted(set(range(self._plan.partition.count)) - self._presence.shards("alive"))
 
     def details(self) -> str:
         """Return an empty string: tracebacks are on the processes' own terminals."""
@@ -161,6 +169,8 @@ class ExternalWorkers:
         if asked.failed:
             return self._refuse(asked, asked.failed)
         if found := differences(self._facts, asked.facts):
+            if values := scene_differences(self._scene, asked.scene):
+                found = [*(one for one in found if not one.startswith("the scene ")), *values]
             return self._refuse(asked, f"differs from the plant: {'; '.join(found)}")
         if problem := self._occupied(asked):
             return JoinRefusal(problem=problem, later=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import platform
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, cast
 
 import msgpack  # pyright: ignore[reportMissingTypeStubs]
 from pydantic import Field, ValidationError
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
 
 _Count = Annotated[int, Field(ge=0)]
+_SCENE_LIMIT: Final = 32_768
+"""Longest scene that a request brings, bytes."""
 _Text = Annotated[str, Field(max_length=4096)]
 
 
@@ -40,6 +42,7 @@ class JoinRequest(Spec):
         host: Name of its host.
         pid: Process id there.
         facts: What determines the bits of its cells, by name.
+        scene: Its scene, as hashed in ``facts``, so that differences can be named; empty: it is too long.
         failed: Why the process ends before its cells are ready; empty: it asks to take the shard's place.
     """
 
@@ -50,6 +53,7 @@ class JoinRequest(Spec):
     host: _Text
     pid: _Count
     facts: Annotated[dict[_Text, _Text], Field(max_length=64)]
+    scene: Annotated[bytes, Field(max_length=_SCENE_LIMIT)] = b""
     failed: _Text = ""
 
     @property
@@ -191,7 +195,9 @@ def decode(kind: type[_Any], payload: bytes | None) -> _Any:
         raise DeployError(f"no MessagePack: {type(error).__name__}") from None
 
 
-def request_of(shard: int, shards: int, process: str, facts: dict[str, str], failed: str = "") -> JoinRequest:
+def request_of(
+    shard: int, shards: int, process: str, facts: dict[str, str], scene: bytes = b"", failed: str = ""
+) -> JoinRequest:
     """Return this process's request; see ``JoinRequest``."""
     return JoinRequest(
         shard=shard,
@@ -200,6 +206,7 @@ def request_of(shard: int, shards: int, process: str, facts: dict[str, str], fai
         host=platform.node()[:64],
         pid=os.getpid(),
         facts=facts,
+        scene=scene if len(scene) <= _SCENE_LIMIT else b"",
         failed=failed[:1024],
     )
 

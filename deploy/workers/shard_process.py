@@ -106,7 +106,7 @@ class ShardProcess:
             InputError: The plant refuses.
             DeployError: No plant answers in time, or another process has the place.
         """
-        asked = encode(request_of(self.shard, self.partition.count, process, facts))
+        asked = encode(request_of(self.shard, self.partition.count, process, facts, self.scene.canonical()))
         begun, said = time.monotonic(), ""
         while True:
             problem = "the plant does not answer yet"
@@ -155,9 +155,8 @@ class ShardProcess:
             return begin_shard(order, self.shard)
         except (FirmwareError, FirmwareFailed) as error:
             lines = str(error).splitlines()
-            failed = request_of(
-                self.shard, self.partition.count, process, {}, lines[0] if lines else "failed"
-            )
+            why = lines[0] if lines else "its program failed"
+            failed = request_of(self.shard, self.partition.count, process, {}, failed=why)
             self._answer(endpoint, encode(failed))
             raise
 

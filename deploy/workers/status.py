@@ -78,7 +78,7 @@ class RunStatus:
         """Return the fields of the answer."""
         count = self._plan.partition.count
         progress = None if self.progress is None else self.progress()
-        here = self._presence.shards("alive" if progress is not None else "ready")
+        here = self._presence.shards("alive")
         gone = sorted(set(range(count)) - here)
         found: dict[str, Any] = {
             "run": self._plan.run,

@@ -56,6 +56,20 @@ def _admitted(system: System, tick: int, shards: list[int]) -> tuple[int, list[i
     raise AssertionError("nobody was admitted")
 
 
+def test_cells_come_back_to_a_run_that_has_lost_all_of_its_cells(network: Network) -> None:
+    system = System(network, Partition.even(grid(1, 2), 1), "packed").start()
+    step(system, 0)
+    system.member_endpoints[0].close()
+    assert {loss.cell for loss in step(system, 1, [])[1]} == {0, 1}
+    assert system.host.admit(2) == []
+    member = _restarted(system, 0)
+    member.ready(10.0)
+    first, cells = _admitted(system, 2, [])
+    assert cells == [0, 1]
+    assert member.join(10.0) == first
+    assert step(system, first)[1] == []
+
+
 @every_format
 def test_a_new_process_joins_at_a_tick_boundary_and_receives_no_earlier_messages(
     network: Network, form: WireFormat
