@@ -26,6 +26,8 @@ _ENCRYPTED: Final = ("tls", "wss")
 _CONNECT_S: Final = 10.0
 """Longest wait for the scheduler's answer."""
 _OPTION: Final = "--cluster"
+_THRIFTY: Final = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
+"""Settings of a cluster of this machine, whose scheduler and workers share the processors with the runs."""
 _DEAF: Final = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 """Run by each worker of this machine: Ctrl-C in the terminal is for the main process alone."""
 
@@ -186,6 +188,7 @@ def _own(distributed: Any, stack: ExitStack, workers: int) -> Any:
             f"{_OPTION} {LOCAL} needs the library cryptography, which comes with the extra cluster: "
             "pip install 'mdms-emulator[cluster]'"
         ) from None
+    stack.enter_context(import_module("dask.config").set(_THRIFTY))  # inherited by the workers
     cluster = distributed.LocalCluster(
         n_workers=workers,
         threads_per_worker=1,

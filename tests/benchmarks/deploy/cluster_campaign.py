@@ -9,6 +9,7 @@ import argparse
 import sys
 import time
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
@@ -98,6 +99,8 @@ def main() -> None:
     print(f"one process: {ideal.wall_s:.1f} s, processor time {ideal.processor_s:.1f} s")
     print(f"cluster: {real.wall_s:.1f} s, processor time {real.processor_s:.1f} s")
     print(f"digests that differ: {sum(one != other for one, other in zip(*digests, strict=True))}")
+    ratios = [one.wall_s / WORKERS / other.wall_s for one, other in zip(alone, clustered, strict=True)]
+    print(f"of ideal by wall time, median of the turns: {median(ratios):.3f}")
     print(
         f"of ideal: {ideal.wall_s / WORKERS / real.wall_s:.3f} by wall time, "
         f"{ideal.processor_s / real.processor_s:.3f} by processor time"
