@@ -103,7 +103,7 @@ def stop_shards(run: str) -> None:
 
 @final
 class ClusterWorkers:
-    """Group of processes that Dask workers run, a shard each; they join as processes that others start.
+    """Group of processes on Dask workers, a shard each, which join the run by themselves.
 
     Dask has no gang scheduling: it would begin some tasks and queue others. Each task is therefore pinned to a worker
     of its own, the plant's barrier decides whether all came, and no task is repeated.

@@ -182,7 +182,7 @@ class Campaign:
             self.execute(pool, journal)
 
     def _run_on_cluster(self, journal: Journal, cluster: DaskCluster, interruption: Interruption) -> None:
-        from deploy.studies.campaign.cluster import ClusterExecutor
+        from deploy.studies.campaign.cluster import ClusterError, ClusterExecutor
 
         with interruption.interruptible():
             executor = ClusterExecutor(
@@ -194,7 +194,10 @@ class Campaign:
                 say=silent if self.quiet else say,
             )
             executor.warm(tuple(self._kinds()))
-        self.execute(executor, journal)
+        try:
+            self.execute(executor, journal)
+        except ClusterError as error:
+            raise DeployError(f"{error}: `mdms campaign --resume {self.folder}` resumes") from None
 
     def execute(self, executor: Executor, journal: Journal) -> None:
         """Execute all missing runs: first each baseline once, then the runs compared with a baseline.
