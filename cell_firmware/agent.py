@@ -184,7 +184,7 @@ class _Agent:
                 inputs = await self._gather(loop, tick)
             if not isinstance(inputs, tuple):
                 break
-            self._apply_faults()
+            self._apply_faults(tick)
             try:
                 if not self._member.unchanged:
                     before, live = live, self._member.live(tick)
@@ -221,8 +221,8 @@ class _Agent:
     def _result(self, ticks: int, detail: str) -> ShardResult:
         return ShardResult(ticks, detail, tuple(self._failures), self._member.stopped)
 
-    def _apply_faults(self) -> None:
-        for fault in self._member.drain_faults():
+    def _apply_faults(self, tick: int) -> None:
+        for fault in self._member.drain_faults(tick):
             if self._inject is not None:
                 try:
                     self._inject(fault)

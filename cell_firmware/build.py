@@ -41,11 +41,13 @@ class CellFaults:
         lattice: Of the array.
         injected: All of them.
         seed: The scene's.
+        link_ticks: Ticks after which a message is read.
     """
 
     lattice: Lattice
     injected: tuple[FaultInstance[CellFault], ...]
     seed: int = 0
+    link_ticks: int = 1
 
     def stages(self, site: ShardContext) -> tuple[InputFilter, ...]:
         """Return the input filters of all faults for a shard's cells, fault by fault."""
@@ -120,7 +122,9 @@ def build_controller(
         from cell_firmware.faults.attach import attach_fault
 
         for injected in faults.injected:
-            controller = attach_fault(controller, faults.lattice, faults.seed, injected)
+            controller = attach_fault(
+                controller, faults.lattice, faults.seed, injected, link_ticks=faults.link_ticks
+            )
     return controller
 
 

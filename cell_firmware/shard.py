@@ -38,6 +38,11 @@ MESSAGES: Final = "message."
 """Prefix of the registers that show messages: ``message.sent`` ``(n, 4)``, and one a field, by side."""
 
 
+Sent = tuple[Bools, Messages]
+"""Whether a slot has a message, ``(4 n,)``, and the messages, ``(4 n,)`` of the type of links."""
+UnderWay = list[Sent]
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class BoundaryMessages:
@@ -74,7 +79,7 @@ class ShardOutputs:
 class Shard:
     """Cells of one process, stepped together; the results are the same bytes for any partition of the array.
 
-    A message sent in tick k is read in tick k + 1, over the border or not. Links of the border are in the
+    A message sent in tick k is read ``link_ticks`` later, over the border or not. Links of the border are in the
     order of ``partition.outgoing(shard)`` and ``partition.incoming(shard)``.
 
     Args:
@@ -84,6 +89,7 @@ class Shard:
         shard: Number of the shard.
         effects: Input filters by name of the effect, in order of application.
         faults: Faults whose filters are in ``effects``, or that the controller carries out.
+        link_ticks: Ticks after which a message is read.
 
     Attributes:
         indices: ``(n,)``, the cells of this shard, by index into the lattice.
@@ -95,7 +101,7 @@ class Shard:
     """
 
     state_fields: ClassVar[StateFields] = StateFields(
-        "_tick", "_active", "_retired", "_drive", "_sent", "_outgoing", "_effects", "_memory"
+        "_tick", "_active", "_retired", "_drive", "_sent", "_outgoing", "_under_way", "_effects", "_memory"
     )
 
     def __init__(
@@ -106,6 +112,8 @@ class Shard:
         shard: int,
         effects: Mapping[str, Sequence[InputFilter]] | None = None,
         faults: Sequence[FaultInstance[CellFault]] = (),
+        *,
+        link_ticks: int = 1,
     ) -> None:
         self.indices: Indices = partition.cells(shard)
         self.cells: tuple[tuple[int, int], ...] = tuple(
@@ -125,6 +133,8 @@ class Shard:
         self._drive = np.zeros((self._n, 2))
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
         self._outgoing: Messages = np.zeros(self._n * 4, dtype=self._message or np.bool_)
+        self._under_way: UnderWay = [self._nothing() for _ in range(link_ticks - 1)]
+        """Messages of the ticks before the last one that are not read yet, oldest first."""
 
         self._links = ShardLinks.of(partition, shard)
         self._controller, self._kernel = self._compiled(controller, cells.sensors)
@@ -144,6 +154,10 @@ class Shard:
         from cell_firmware.shard_kernel import shard_kernel
 
         return controller, shard_kernel(controller, self._links, self._stages, sensors, self._period_ns)
+
+    def _nothing(self) -> Sent:
+        """Return the messages of a tick in which nothing was sent."""
+        return np.zeros(self._n * 4, dtype=np.bool_), np.zeros(self._n * 4, dtype=self._message or np.bool_)
 
     @property
     def message(self) -> np.dtype[np.void] | None:
@@ -170,8 +184,8 @@ class Shard:
             tick: The tick: one more than the last.
             presence: ``(n, sensors)``, the cells' presence bits.
             encoder_m: ``(n, 2)``, surface travel of the wheels, m; None without encoders.
-            links: Messages received over the border from tick ``tick - 1``; None in tick 0, without messages, or
-                where there is no border.
+            links: Messages received over the border that are due in this tick; None where nothing was sent yet,
+                without messages, or where there is no border.
             level: ``(n, sensors)``, how much of each sensor's spot is covered; None unless sensors are analogue.
             label: ``(n,)``, readings of scanners; None without scanners.
             camera: Frame of a camera; None in ticks without a frame.
@@ -190,6 +204,8 @@ class Shard:
         for stage in self._stages:
             inputs = stage.apply(tick, inputs, _EVERY if self._active is None else self._active)
         drive = np.zeros((self._n, 2))
+        if self._under_way:
+            self._under_way = [*self._under_way[1:], (self._sent, self._outgoing)]
         self._sent = np.zeros(self._n * 4, dtype=np.bool_)
         failures: tuple[FirmwareFailed, ...] = ()
         hung: tuple[FirmwareFailed, ...] = ()
@@ -236,19 +252,17 @@ class Shard:
             The drives; or the outputs, where programs failed; or None where nothing was done: ``step`` takes what
             came, since the payload is no such one or a watchdog resets a cell.
         """
-        kernel, outbox = self._kernel, (self._sent, self._outgoing)
+        kernel = self._kernel
         if kernel is None or tick != self._tick + 1:
             return None
-        if not kernel.is_bound(self._state, self._active, outbox):
-            self._state = kernel.bind(self._state, self._active, outbox)
-            self._sent, self._outgoing = kernel.outbox
+        self._bind(kernel)
         if not codec.read(tick, payload):
             return None
         failures = kernel.run(tick)
         if failures is None:
             return None
         self._tick = tick
-        self._sent, self._outgoing = kernel.outbox
+        *self._under_way, (self._sent, self._outgoing) = kernel.outboxes
         self._drive = kernel.buffers.drive
         if failures:
             return self._finish(kernel, kernel.result(failures))
@@ -258,13 +272,18 @@ class Shard:
         self, kernel: ShardKernel, presence: Bools, encoder_m: Floats | None, links: BoundaryMessages | None
     ) -> ShardOutputs | None:
         """Step all cells in one call; None if a watchdog resets a cell, and nothing was done."""
-        outbox = (self._sent, self._outgoing)
-        if not kernel.is_bound(self._state, self._active, outbox):
-            self._state = kernel.bind(self._state, self._active, outbox)
+        self._bind(kernel)
         received = None if links is None else (links.sent, links.message)
         done = kernel.step(self._tick, presence, encoder_m, received)
-        self._sent, self._outgoing = kernel.outbox
+        *self._under_way, (self._sent, self._outgoing) = kernel.outboxes
         return None if done is None else self._finish(kernel, done)
+
+    def _bind(self, kernel: ShardKernel) -> None:
+        """Put the state into the kernel's memory, unless it is there."""
+        outboxes = [*self._under_way, (self._sent, self._outgoing)]
+        if not kernel.is_bound(self._state, self._active, outboxes):
+            self._state = kernel.bind(self._state, self._active, outboxes)
+            *self._under_way, (self._sent, self._outgoing) = kernel.outboxes
 
     def _finish(self, kernel: ShardKernel, done: TickResult) -> ShardOutputs:
         """Return the outputs of a tick by the kernel, and retire cells whose programs failed for good."""
@@ -278,7 +297,7 @@ class Shard:
         return ShardOutputs(done.drive, border, failures)
 
     def _inbox(self, links: BoundaryMessages | None) -> Inbox | None:
-        """Collect messages of the last tick, from inside the shard and over the border."""
+        """Collect the messages that are due, from inside the shard and over the border."""
         if self._message is None:
             return None
         from cell_firmware.kernels.messages import collect
@@ -291,8 +310,9 @@ class Shard:
             raise FirmwareError(
                 f"this is a bug: {links.message.shape} messages for {self._links.in_to.shape} incoming links"
             )
+        sent, outgoing = self._due
         collect(
-            self._message.itemsize, self._sent, self._outgoing.view(np.uint8),
+            self._message.itemsize, sent, outgoing.view(np.uint8),
             self._links.inner_from, self._links.inner_to,
             links.sent, links.message.view(np.uint8), self._links.in_to,
             received.reshape(-1), message.reshape(-1).view(np.uint8),
@@ -347,7 +367,9 @@ class Shard:
         self._stages += stages
         from cell_firmware.faults.attach import attach_fault, init_new_wrappers
 
-        self._controller = attach_fault(self._controller.general, lattice, site.seed, fault)
+        self._controller = attach_fault(
+            self._controller.general, lattice, site.seed, fault, link_ticks=len(self._under_way) + 1
+        )
         self._kernel = None
         drive = self._drive if self._active is None else self._drive[self._active]
         self._state = init_new_wrappers(self._controller, self._state, drive)
@@ -398,11 +420,20 @@ class Shard:
         """
         if self._message is None:
             raise FirmwareError("the program of the cells sends no messages")
-        return Outbox(self._sent.reshape(-1, 4).copy(), self._outgoing.reshape(-1, 4).copy())
+        sent, outgoing = self._due
+        return Outbox(sent.reshape(-1, 4).copy(), outgoing.reshape(-1, 4).copy())
 
     @outbox.setter
     def outbox(self, outbox: Outbox) -> None:
-        self._sent, self._outgoing = outbox.sent.ravel(), outbox.message.ravel()
+        if self._under_way:
+            self._under_way = [(outbox.sent.ravel(), outbox.message.ravel()), *self._under_way[1:]]
+        else:
+            self._sent, self._outgoing = outbox.sent.ravel(), outbox.message.ravel()
+
+    @property
+    def _due(self) -> Sent:
+        """Messages that the next tick reads, ``(4 n,)`` each: whether there is one, and the message."""
+        return self._under_way[0] if self._under_way else (self._sent, self._outgoing)
 
     def counters(self) -> Counter[str]:
         """Return the counters of effects and boards so far, by ``effect.counter``, retired cells included."""

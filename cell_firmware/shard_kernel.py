@@ -127,7 +127,7 @@ def shard_kernel(
 class ShardKernel:
     """Tick of all live cells of a shard in one call.
 
-    The state that was bound last is changed in place, and so are the outbox and the debouncing's memory.
+    The state that was bound last is changed in place, and so are the outboxes and the debouncing's memory.
 
     Args:
         controller: The cells' controller; its program is in scalar form.
@@ -140,6 +140,7 @@ class ShardKernel:
     Attributes:
         buffers: Inputs and outputs of a tick.
         hangs: Whether a cell whose program fails hangs, to be reset by its watchdog.
+        outboxes: Messages of the last ticks that are not read yet, oldest first.
     """
 
     def __init__(
@@ -164,36 +165,34 @@ class ShardKernel:
         self._records: NDArray[Any] = np.zeros(0, dtype=module.STATE)
         self._program: State = {}
         self._shard = np.zeros(1, dtype=kernels.SHARD)
-        self._current: Indices = self._shard["current"]
         self._owned: list[NDArray[Any]] = []
-        self._outboxes: list[Outboxes] = []
+        self.outboxes: list[Outboxes] = []
+        self._spare: Outboxes | None = None
+        """Outbox of a message that was read last, to be filled next."""
         self._not_finite, self._speed = np.zeros(0, dtype=np.bool_), np.zeros((0, 2))
         self._bound: tuple[ControllerState, Indices | None, Bools | None] | None = None
         self.buffers = TickBuffers.of(links, self._line, sensors)
 
-    @property
-    def outbox(self) -> Outboxes:
-        """Messages of the last tick."""
-        return self._outboxes[int(self._current[0])]
-
-    def is_bound(self, state: ControllerState, rows: Indices | None, outbox: Outboxes) -> bool:
+    def is_bound(self, state: ControllerState, rows: Indices | None, outboxes: Sequence[Outboxes]) -> bool:
         """Whether these are the objects that the last step left, or that were bound since."""
         bound = self._bound
         return (
             bound is not None
             and bound[0] is state
             and bound[1] is rows
-            and self.outbox[0] is outbox[0]
+            and all(own[0] is given[0] for own, given in zip(self.outboxes, outboxes, strict=True))
             and (self._debounce is None or bound[2] is self._debounce.memory[0])
         )
 
-    def bind(self, state: ControllerState, rows: Indices | None, outbox: Outboxes) -> ControllerState:
-        """Put a state into the kernel's memory; ``outbox`` is copied.
+    def bind(
+        self, state: ControllerState, rows: Indices | None, outboxes: Sequence[Outboxes]
+    ) -> ControllerState:
+        """Put a state into the kernel's memory; the outboxes are copied.
 
         Args:
             state: Of the live cells.
             rows: Their rows among the shard's cells; None: all live.
-            outbox: Messages of the last tick.
+            outboxes: Messages of the last ticks that are not read yet, oldest first.
 
         Returns:
             The state, in that memory.
@@ -215,7 +214,7 @@ class ShardKernel:
         }
         self._owned = []
         self._bind_boards(fields, hardware)
-        self._bind_links(fields, rows, outbox)
+        self._bind_links(fields, rows, outboxes)
         self._bind_program(fields, state.cells)
         self._bind_sensors(fields)
         fields |= {name: self._address(array) for name, array in self.buffers.by_name().items()}
@@ -269,6 +268,7 @@ class ShardKernel:
         failures, bounces = self._module.tick(tick, self._shard)
         if failures == kernels.RESETS:
             return None
+        self._turn_outboxes()
         if bounces and self._debounce is not None:
             self._debounce.counters["bounces"] += bounces
         return self._failed(tick) if failures else _NO_FAILURES
@@ -306,15 +306,36 @@ class ShardKernel:
         }
         fields |= {name: self._address(array) for name, array in arrays.items()}
 
-    def _bind_links(self, fields: dict[str, Any], rows: Indices | None, outbox: Outboxes) -> None:
+    def _turn_outboxes(self) -> None:
+        """Exchange the outboxes after a tick: the one just filled, and the one to be read next."""
+        assert self._spare is not None, "this is a bug: a step before a state was bound"
+        read, *later = self.outboxes
+        self.outboxes, self._spare = [*later, self._spare], read
+        if later:  # else the kernel exchanges both by itself
+            self._shard["current"] = 0
+            for name, value in self._outbox_addresses().items():
+                self._shard[name] = value
+
+    def _outbox_addresses(self) -> dict[str, int]:
+        """Return the addresses of two outboxes: to be read in the next tick, and to be filled."""
+        assert self._spare is not None, "this is a bug: there are no outboxes"
+        found = dict[str, int]()
+        for i, (sent, message) in enumerate((self.outboxes[0], self._spare)):
+            found[f"sent_{i}"], found[f"outbox_{i}"] = sent.ctypes.data, message.ctypes.data
+        return found
+
+    def _bind_links(self, fields: dict[str, Any], rows: Indices | None, outboxes: Sequence[Outboxes]) -> None:
         n = self._cells
-        kept: Outboxes = (np.zeros(4 * n, dtype=np.bool_), np.zeros(4 * n, dtype=self._line))
+        empty = [
+            (np.zeros(4 * n, dtype=np.bool_), np.zeros(4 * n, dtype=self._line))
+            for _ in range(len(outboxes) + 1)
+        ]
+        *self.outboxes, self._spare = empty
         if fields["messages"]:
-            kept[0][...], kept[1][...] = outbox
-        other: Outboxes = (np.zeros(4 * n, dtype=np.bool_), np.zeros(4 * n, dtype=self._line))
-        self._outboxes, fields["current"] = [kept, other], 0
-        for i, (sent, message) in enumerate(self._outboxes):
-            fields[f"sent_{i}"], fields[f"outbox_{i}"] = self._address(sent), self._address(message)
+            for own, given in zip(self.outboxes, outboxes, strict=True):
+                own[0][...], own[1][...] = given
+        fields["current"] = 0
+        fields |= self._outbox_addresses()
         fields["rows"] = self._address(np.arange(n) if rows is None else readable(rows))
         fields["source"] = self._address(self._links.sources())
         fields["border_from"] = self._address(readable(self._links.out_from))

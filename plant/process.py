@@ -13,6 +13,7 @@ from bus.lockstep.counters import Loss
 from bus.state import StateFields
 from bus.wire.frames import SenseFrame
 from plant.dead_cells import DeadCells
+from plant.delayed_drives import DelayedDrives
 from plant.observations import Sense
 from plant.sampling import Timing
 from plant.tick import DeathPolicy, Floats, LockstepPort, LoopResult, RunClock, TickHooks, TickRecord
@@ -31,9 +32,10 @@ class PlantProcess:
     """Tick loop of a run: plant and bus in lockstep, in one blocking thread.
 
     In tick k the cells receive what they sense at ``t_k = k tick_ns`` and answer with the drives that act on
-    the whole of ``[t_k, t_(k+1))``; the last interval ends with the run and may be shorter. No drive is expected of
-    a cell after its death, scheduled or not; its wheels follow the stall policy from that tick on. With local
-    clocks, a cell receives at t_k its last reading, and its drive acts from an instant within ``[t_k, t_(k+1))`` on.
+    the whole of ``[t_k, t_(k+1))``, or of the tick ``drive_ticks`` later; the last interval ends with the run and may
+    be shorter. No drive is expected of a cell after its death, scheduled or not; its wheels follow the stall policy
+    from that tick on. With local clocks, a cell receives at t_k its last reading, and its drive acts from an instant
+    within ``[t_k, t_(k+1))`` on.
 
     Args:
         plant: At time 0.
@@ -63,6 +65,8 @@ class PlantProcess:
         "_dead",
         "_camera",
         "_timing",
+        "_delayed",
+        "_gathered",
         "tick",
         "time_ns",
         records=(Sense,),
@@ -91,6 +95,10 @@ class PlantProcess:
         self._state = plant.state
         n = len(self._sense.presence)
         self._drives: Floats = np.zeros((n, 2))
+        self._delayed = DelayedDrives(n, clock.drive_ticks) if clock.drive_ticks else None
+        self._gathered = 0
+        """First tick whose drives have not been gathered; only counted where drives are delayed."""
+        self._lookahead = coordinator.lookahead if clock.drive_ticks else 0
         self._faults = faults
         self._dead = DeadCells(
             plant, n, "coast" if stall.policy == "abort" else stall.policy, deaths.wheel_policies
@@ -121,8 +129,7 @@ class PlantProcess:
             How the run ended; None while there is more of it. The last tick is reported by then.
         """
         if self.time_ns >= self._clock.duration_ns:
-            self.report()
-            return LoopResult("failed", nobody=True) if self._nobody() else LoopResult("ok")
+            return self._end()
         if self.pace is not None:
             self.report()
             with self.idle():
@@ -134,6 +141,23 @@ class PlantProcess:
             return LoopResult("failed", died=dying)
         losses = self._step()
         return self._ended(losses) if losses else None
+
+    def _end(self) -> LoopResult:
+        """Return the result of a run that has reached its duration."""
+        if self._delayed is None:
+            self.report()
+            return LoopResult("failed", nobody=True) if self._nobody() else LoopResult("ok")
+        self.catch_up()
+        self.report()
+        losses = self._delayed.in_flight
+        ended = self._ended(losses) if losses else None
+        if ended is not None:
+            return ended
+        return (
+            LoopResult("failed", tuple(losses), nobody=True)
+            if self._nobody()
+            else LoopResult("ok", tuple(losses))
+        )
 
     def _ended(self, losses: Sequence[Loss]) -> LoopResult | None:
         """How the run ends with these losses; None: it goes on."""
@@ -226,6 +250,8 @@ class PlantProcess:
             self._drives = drives
             return self._plant.advance(drives, until_ns)
         acts_ns, reads_ns = self._timing(tick)
+        if self._delayed is not None:
+            acts_ns = self._delayed.delay_instants(acts_ns, self._clock.tick_ns)
         if self._dead.mask is not None:
             acts_ns = np.where(self._dead.mask, -1, acts_ns)
         # The last tick may be over before a drive would have acted: its wheels go on as they were.
@@ -249,9 +275,30 @@ class PlantProcess:
         if died:
             self._coordinator.mark_dead(died, tick)
         self.report()
+        delayed = self._delayed
+        if delayed is not None:
+            self._gather(delayed, tick - self._lookahead)
+            if self._dead.mask is not None:
+                delayed.mark_dead(self._dead.mask, tick)
+            return delayed.take(tick)
         with self.idle():
             frame, losses = self._coordinator.gather(tick)
         return frame.drive, losses
+
+    def _gather(self, delayed: DelayedDrives, tick: int) -> None:
+        """Gather the drives of ``tick`` into those that are delayed."""
+        if tick < self._gathered:
+            return
+        with self.idle():
+            frame, losses = self._coordinator.gather(tick)
+        self._gathered = tick + 1
+        delayed.put(frame.drive, losses)
+
+    def catch_up(self) -> None:
+        """Gather the drives of all senses that were published, where the plant is ahead of them; between two ticks."""
+        if self._delayed is not None:
+            for tick in range(self._gathered, self.tick):
+                self._gather(self._delayed, tick)
 
     @contextmanager
     def idle(self) -> Generator[None]:

@@ -78,6 +78,11 @@ class LoopResult:
 class LockstepPort(Protocol):
     """Side of the lockstep that the plant uses; ``bus.lockstep.Coordinator`` is one."""
 
+    @property
+    def lookahead(self) -> int:
+        """Ticks by which senses may be published ahead of the drives that are gathered; at most ``drive_ticks``."""
+        ...
+
     def publish(self, frame: SenseFrame) -> None:
         """Send every cell its senses."""
         ...
@@ -121,12 +126,14 @@ class RunClock:
         timing: Asked in the order of ticks where cells have clocks of their own: when in a tick the drives act, and
             when cells read the senses that the next tick sends. An instant may lie beyond the end of the run.
         pace: Called with a tick's start, ns, before the tick begins; may wait.
+        drive_ticks: Ticks after which a drive acts, counted from the senses of which it was computed.
     """
 
     tick_ns: int
     duration_ns: int
     timing: Callable[[int], Timing] | None = None
     pace: Callable[[int], None] | None = None
+    drive_ticks: int = 0
 
 
 @final

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, Literal, final
 
 import numpy as np
@@ -16,12 +16,12 @@ from bus.lockstep.membership import CoordinatorMembership
 from bus.lockstep.receive import Dispatcher, FrameAssembler
 from bus.lockstep.registers import RegisterReceiver, RegisterRequest, RegisterSnapshot
 from bus.lockstep.reports import ReportReceiver
-from bus.lockstep.snapshots import GlobalSnapshot, SnapshotCollector, decode_snapshot
+from bus.lockstep.snapshots import GlobalSnapshot, MessageBytes, SnapshotCollector, decode_snapshot
 from bus.partition import Partition
 from bus.sensors import SensorSchema
-from bus.spec import StallSpec
+from bus.spec import NO_LATENCY, BusSpec, StallSpec
 from bus.transports.base import Endpoint, Urgency
-from bus.wire.format import CoordinatorCodec, RelayedLinks, RunSchema
+from bus.wire.format import CoordinatorCodec, RelayedLinks, RunSchema, relayed_links
 from bus.wire.formats import FORMATS, WireFormat
 from bus.wire.frames import (
     Control,
@@ -61,10 +61,12 @@ class Coordinator:
         wanted: Requests for registers of the cells.
         keeps: Whether snapshots may be requested.
         stall: Deadlines. The policy is the caller's to carry out on the losses that ``gather`` names.
+        latency: Latency of the messages, in ticks; the same on all sides.
         clock: Monotonic wall seconds.
 
     Attributes:
         counters: Payloads of this side so far.
+        lookahead: Ticks by which the caller may publish senses ahead of the drives that it gathers.
         unreported: Cells (indices) that were live at the end and whose shards' counters ``stop`` did not receive.
     """
 
@@ -80,9 +82,12 @@ class Coordinator:
         wanted: Sequence[RegisterRequest] = (),
         keeps: bool = False,
         stall: StallSpec | None = None,
+        latency: BusSpec = NO_LATENCY,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._wiring = RunSchema(run, partition, readings, message)
+        self._wiring = RunSchema(run, partition, readings, message, latency)
+        self.lookahead = self._wiring.lookahead
+        self._link_ticks = self._wiring.latency.link_ticks
         self._endpoint = endpoint
         self._stall = StallSpec() if stall is None else stall
         self._clock = clock
@@ -93,9 +98,8 @@ class Coordinator:
         self._sense = [endpoint.publisher(key) for key in self._form.sense_keys]
         self._control = endpoint.publisher(plant_key(run, "control"))
         self._closed = _BEFORE
-        self._relayed: RelayedLinks | None = None
-        self._resent = _BEFORE
-        """Tick whose messages the shards of a resumed run send again, for the coordinator to pass on."""
+        self._relayed: dict[int, RelayedLinks] = {}
+        """Messages to pass on, by the tick in which they were sent."""
         self._roll = LivenessTracker(self._form, partition.lattice)
         self._drives = FrameAssembler(
             "drive",
@@ -121,7 +125,7 @@ class Coordinator:
         )
         self._reported = ReportReceiver(partition, lambda: self._tick, self._membership.rejoins.on_ready)
         self._subscribe_shards("report", self._reported.handle, "urgent")
-        self._seen = RegisterReceiver(partition, wanted, self.counters, lambda: self._tick)
+        self._seen = RegisterReceiver(partition, wanted, self.counters, lambda: self._tick, self.lookahead)
         if wanted:
             self._subscribe_shards("registers", self._seen.handle)
         self._keeping: SnapshotCollector | None = None
@@ -163,26 +167,18 @@ class Coordinator:
             everybody = self._roll.all_ready()
             if everybody:
                 waiting = [unit for unit in waiting if not self._sense[unit].matched()]
-                if not waiting and not self._awaits_messages():
+                if not waiting:
                     break
             left = deadline - self._clock()
             if left <= 0:
                 raise self._roll.missing(limit, waiting)
             # Tokens come as events, matches must be polled: they come with the tokens.
             self._inbox.poll(min(left, _POLL_S) if everybody else left)
-        if self._resent != _BEFORE:
-            # The coordinator of the run before it was resumed has counted them.
-            self.counters.delivered -= sum(self._drives.slot(self._resent).have)
-            self._close(self._resent)
         start = Control("start", self._tick)
         if _BEFORE in self._reported.counters:  # counted when the run began
             self._control.put(encode_control(start))
         else:
             self.control(start)
-
-    def _awaits_messages(self) -> bool:
-        """Whether messages that the shards of a resumed run send again are missing."""
-        return self._resent != _BEFORE and not self._drives.settle()
 
     def absent(self, timeout_s: float) -> set[int]:
         """Return the shards with a cell that has not appeared yet.
@@ -195,17 +191,29 @@ class Coordinator:
             self._inbox.poll(timeout_s)
         return self._roll.absent(self._wiring.partition.shard_of)
 
-    def resume(self, tick: int, dead: Sequence[int], counts: MessageCounters) -> None:
+    def resume(
+        self,
+        tick: int,
+        dead: Sequence[int],
+        counts: MessageCounters,
+        relayed: Mapping[int, MessageBytes] | None = None,
+    ) -> None:
         """Resume at ``tick`` from another coordinator of the same run; call before the barrier.
 
         Args:
             tick: First tick to publish and gather.
             dead: Indices of the cells that had died before ``tick``.
             counts: Counters of all sides before ``tick``.
+            relayed: Messages to pass on, from the snapshot, by the tick in which they were sent.
+
+        Raises:
+            StateError: The messages are not those of the run's links.
         """
-        self._tick = tick
-        self._resent = self._drives.latest = tick - 1 if self._form.relays else _BEFORE
-        self._drives.start_at(tick - 1 if self._form.relays else tick)
+        self._tick, self._closed = tick, tick - 1
+        self._relayed = {
+            sent_in: relayed_links(self._wiring, one) for sent_in, one in (relayed or {}).items()
+        }
+        self._drives.start_at(tick)
         if dead:
             self.mark_dead(dead, 0)
         self._reported.counters[_BEFORE] = counts
@@ -219,14 +227,20 @@ class Coordinator:
             BusError: The frame is not what was agreed, or brings messages of a tick that was not gathered.
         """
         check_sense(frame, self._wiring.readings, len(self._wiring.partition.lattice))
-        if self._form.relays and self._closed != frame.tick - 1:
+        due = frame.tick - self._link_ticks
+        if self._form.relays and self._closed < due:
             raise BusError(
-                f"sense frame of tick {frame.tick}: brings the messages of the tick before, whose drives must be "
-                f"gathered first; the last gathered is {self._closed}"
+                f"sense frame of tick {frame.tick}: brings the messages of tick {due}, whose drives must be gathered "
+                f"first; the last gathered is {self._closed}"
             )
-        puts = list(zip(self._sense, self._form.sense_payloads(frame, self._relayed), strict=True))
+        puts = list(
+            zip(self._sense, self._form.sense_payloads(frame, self._relayed.pop(due, None)), strict=True)
+        )
         if not self._membership.unchanged:
-            puts = [put for put, until in zip(puts, self._drives.end_tick, strict=True) if until > frame.tick]
+            # A dead cell's process learns from senses that its last drive has arrived: see Participant.confirmed. It
+            # has those of its first dead tick; ahead of the drives it takes more of them.
+            last = frame.tick - (self.lookahead + 1 if self.lookahead else 0)
+            puts = [put for put, until in zip(puts, self._drives.end_tick, strict=True) if until > last]
         self._drives.latest = frame.tick
         self._endpoint.put_all(puts)
         self.counters.sent += len(puts)
@@ -239,7 +253,7 @@ class Coordinator:
         host suspended): the cells may not have run either, and their drives may wait in its sockets.
 
         Args:
-            tick: Must go up from call to call.
+            tick: Must go up from call to call; at most ``lookahead`` behind the senses that were published last.
 
         Returns:
             The drives ``(n, 2)``, zero for dead cells, and the cells lost at this tick, ascending. The losses have been
@@ -287,7 +301,7 @@ class Coordinator:
         self._closed = tick
         live = None if self._membership.unchanged else self._membership.live(tick)
         if self._form.relays:
-            self._relayed = self._form.relay(values, live)
+            self._relayed[tick] = self._form.relay(values, live)
         drive = self._form.join_drives(values)
         if live is not None:
             drive[~live] = 0.0
@@ -332,10 +346,13 @@ class Coordinator:
         self._control.put(encode_control(Control("snapshot", tick)))
         self._keeping = SnapshotCollector(tick, self._membership.shards(tick - 1))
 
-    def record_counters(self) -> None:
-        """Record the coordinator's counters for the requested snapshot; call when its tick is about to begin."""
+    def record_snapshot(self) -> None:
+        """Record the coordinator's part of the requested snapshot.
+
+        Call when its tick is about to begin, and all drives before it have been gathered.
+        """
         assert self._keeping is not None
-        self._keeping.record_counters(self.counters)
+        self._keeping.record(self.counters, self._relayed)
 
     def poll_snapshot(self) -> GlobalSnapshot | None:
         """Return the global snapshot once all requested shards have answered, else None."""
@@ -360,8 +377,9 @@ class Coordinator:
 
     def show_registers(self) -> None:
         """Have all shards publish their registers once more, for observers; call between two ticks."""
-        self._seen.show(self._closed)
-        self._control.put(encode_control(Control("show", max(self._closed, 0))))
+        last = self._drives.latest
+        self._seen.show(last)
+        self._control.put(encode_control(Control("show", max(last, 0))))
 
     def drain_registers(self) -> list[RegisterSnapshot]:
         """Return register snapshots since the last call; a tick's snapshot is complete once its drives are gathered."""

@@ -18,10 +18,10 @@ from bus.lockstep.receive import Dispatcher
 from bus.lockstep.registers import Own, RegisterPublisher, RegisterRequest
 from bus.lockstep.reports import ReportPublisher
 from bus.lockstep.shard_io import InboundFrames, OutboundFrames, ParticipantMembership, TickInputs
-from bus.lockstep.snapshots import SnapshotPublisher
+from bus.lockstep.snapshots import MessageBytes, SnapshotPublisher
 from bus.partition import Partition
 from bus.sensors import SensorSchema
-from bus.spec import StallSpec
+from bus.spec import NO_LATENCY, BusSpec, StallSpec
 from bus.transports.base import Endpoint, Received
 from bus.wire.fixed_layout import PayloadLayout
 from bus.wire.format import ParticipantCodec, RunSchema
@@ -52,6 +52,7 @@ class Participant:
         readings: Contents of sense frames.
         message: The firmware's message type; None for firmware without messages.
         stall: Deadlines.
+        latency: Latency of the messages, in ticks; the same on all sides.
         silence_s: Wall seconds in ``gather`` after which the plant counts as lost although its token stands;
             None: as long as the token stands. A paused or compiling plant is silent too.
         wanted: Registers that the plant requests.
@@ -62,8 +63,7 @@ class Participant:
 
     Attributes:
         counters: Payloads of this side so far.
-        drain_faults: Returns the records of faults injected or repaired since the last call; effective from the tick
-            gathered last.
+        drain_faults: Given a tick, returns the records of faults injected or repaired in it, or since the last call.
     """
 
     def __init__(
@@ -77,6 +77,7 @@ class Participant:
         readings: SensorSchema,
         message: np.dtype[Any] | None,
         stall: StallSpec | None = None,
+        latency: BusSpec = NO_LATENCY,
         silence_s: float | None = None,
         wanted: Sequence[RegisterRequest] = (),
         cell_counters: Callable[[], Mapping[str, int]] = dict[str, int],
@@ -84,7 +85,8 @@ class Participant:
         joins: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        wiring = RunSchema(run, partition, readings, message)
+        wiring = RunSchema(run, partition, readings, message, latency)
+        self._lookahead = wiring.lookahead
         self._endpoint = endpoint
         self._lattice = partition.lattice
         self._shard = shard
@@ -109,7 +111,8 @@ class Participant:
             self._incoming.accept_any_tick()
         token, control = plant_key(run, "alive"), plant_key(run, "control")
         self._control = ControlState(partition.lattice, self._membership, token, self.counters)
-        self.drain_faults: Callable[[], list[Control]] = self._control.drain_faults
+        self._control.joining = joins
+        self.drain_faults: Callable[[int], list[Control]] = self._control.drain_faults
         self._inbox = Dispatcher(endpoint, partition, self.counters, self._control.handle_token)
         self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._control.handle, 0)}
         endpoint.subscribe(control, "urgent")
@@ -123,7 +126,9 @@ class Participant:
         self._snapshots: SnapshotPublisher | None = None
         if keeps:
             self._snapshots = SnapshotPublisher(
-                endpoint.publisher(shard_key(run, shard, "snapshot")), self.counters
+                endpoint.publisher(shard_key(run, shard, "snapshot")),
+                self.counters,
+                self._incoming.recorded_ticks,
             )
         endpoint.watch_alive(token)
 
@@ -188,26 +193,25 @@ class Participant:
                 raise CoordinatorLostError("the plant left before the shard could rejoin")
         return self._control.rejoin_tick
 
-    def resume(self, tick: int, dead: Sequence[int]) -> None:
+    def resume(self, tick: int, dead: Sequence[int], links: Sequence[MessageBytes]) -> None:
         """Resume at ``tick`` from another participant of the same shard; call before ``ready``.
 
         Args:
             tick: First tick to gather.
             dead: Indices in the lattice of the cells that had died before ``tick``.
+            links: Messages that were on their way to the shard, from its snapshot.
+
+        Raises:
+            StateError: The messages are not those of the shard's links.
         """
         self._tick, self._control.resumed = tick, True
-        self._incoming.resume(tick)
         if dead:
             self.mark_dead(dead, 0)
+        if not self._membership.none_live(tick):
+            self._incoming.resume(tick, links)
 
-    def resend_links(self, links: LinkFrame | None) -> None:
-        """Resend the messages of the tick before the first; call once ready. The earlier participant counted them.
-
-        Args:
-            links: Those messages; None where the firmware has none.
-        """
-        if links is not None:
-            self._endpoint.put_all(self._outgoing.encode_again(links))
+    def resumed(self) -> None:
+        """Report the counters of a shard that resumes without a live cell; call once ready."""
         if self._membership.none_live(self._tick):
             self._reports.publish_counters(self._tick)
 
@@ -221,7 +225,7 @@ class Participant:
     def gather(self, tick: int, timeout_s: float | None = None) -> TickInputs | Control | None:
         """Wait for the inputs of ``tick``.
 
-        These are the tick's senses, and the previous tick's link frame of every neighbour that was live in it.
+        These are the tick's senses, and the link frames due in it of every neighbour that was live when they were sent.
 
         Args:
             tick: Must go up from call to call, except after None or WaitInterrupted.
@@ -253,27 +257,41 @@ class Participant:
                 # The token must not go before the report has come: the plant would take the cells' process for dead.
                 left = self._answer_until - self._clock()
                 if not control.unanswered or control.plant_lost or left <= 0:
-                    return Control("stop", tick, (), "no cell of this shard is alive any more")
+                    return self._leave(tick)
                 read(left, 1)
                 continue
             if not missing:
-                if tick + 1 == control.snapshot_tick and self._snapshots is not None:
-                    self._snapshots.record_counters(self._incoming.received_count(tick))
-                if self._known_changes != membership.changes or tick >= self._next_death:
-                    self._known_changes = membership.changes
-                    self._next_death = membership.next_death(tick)
-                return self._incoming.collect(tick)
+                return self._collect(tick)
             if control.plant_lost:
                 raise CoordinatorLostError(f"the plant left; shard {self._shard} waited for tick {tick}")
             left = None if limit is None else max(limit - self._clock(), 0.0)
             # Messages end no wait for senses. One that comes after the senses is waited for by its key.
-            key = None if waits else self._incoming.awaited_key(tick - 1)
+            key = None if waits else self._incoming.awaited_key(tick)
             if not read(left, max(sense.missing, 1), key) and left == 0:
                 if until == limit:
                     return None
                 raise CoordinatorLostError(
                     f"the plant was silent for {self._silence_s:g} s; shard {self._shard} waited for tick {tick}"
                 )
+
+    def _leave(self, tick: int) -> Control:
+        """Return the record with which a shard without live cells ends; publish what it has of a snapshot."""
+        if self._snapshots is not None:
+            self._snapshots.publish()
+        return Control("stop", tick, (), "no cell of this shard is alive any more")
+
+    def _collect(self, tick: int) -> TickInputs:
+        """Return the inputs of a tick, which are all there."""
+        membership, snapshots = self._membership, self._snapshots
+        if snapshots is not None and tick + 1 == self._control.snapshot_tick:
+            snapshots.record_counters(self._incoming.received_count(tick))
+        if self._known_changes != membership.changes or tick >= self._next_death:
+            self._known_changes = membership.changes
+            self._next_death = membership.next_death(tick)
+        inputs = self._incoming.collect(tick)
+        if snapshots is not None:
+            snapshots.record_links(inputs.links, self._incoming.parts_read)
+        return inputs
 
     def _limits(self, timeout_s: float | None) -> tuple[float | None, float | None]:
         """Return the ends of the caller's wait, and of the wait by whatever ends first; None: never."""
@@ -311,6 +329,29 @@ class Participant:
         if not self._lives.unchanged and self._membership.none_live(drive.tick + 1):
             self._reports.publish_counters(self._tick)
         self._endpoint.put_all(puts)
+
+    def confirmed(self, tick: int) -> bool:
+        """Wait, after the shard's last live tick, until the plant has all that the shard sent before ``tick``.
+
+        The plant's senses tell, which no longer concern the shard.
+
+        Args:
+            tick: First tick in which no cell of the shard is live.
+
+        Returns:
+            False if the run ends before.
+        """
+        counts = self.counters
+        counted = (
+            counts.delivered,
+            counts.late,
+        )  # what comes from now on is beyond the counters that were reported
+        confirmed = self._incoming.newest_sense >= tick + self._lookahead
+        while not confirmed and self._control.stop is None and not self._control.plant_lost:
+            self._inbox.poll(None)
+            confirmed = self._incoming.newest_sense >= tick + self._lookahead
+        counts.delivered, counts.late = counted
+        return confirmed
 
     # --- a tick in which nothing but its payload is handled ----------------------------------------
 
@@ -367,7 +408,7 @@ class Participant:
         )
 
     def publish_snapshot(self, tick: int, read: Callable[[], bytes]) -> None:
-        """Publish the shard's snapshot before ``tick`` if the plant requested one.
+        """Publish the shard's snapshot before ``tick`` if the plant requested one, with the messages under way to it.
 
         Call it after ``publish`` of the tick before.
 
@@ -376,7 +417,7 @@ class Participant:
             read: Returns the state; called only if a snapshot was requested.
         """
         if tick == self._control.snapshot_tick and self._snapshots is not None:
-            self._snapshots.publish(tick, read())
+            self._snapshots.begin(tick, read())
 
     def publish_registers(self, tick: int, read: Callable[[], Own]) -> None:
         """Publish the registers of the cells if the plant or another observer requests them.

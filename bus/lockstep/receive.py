@@ -9,12 +9,15 @@ from bus.errors import WaitInterrupted, WireError
 from bus.lattice import NO_TICK_LIMIT
 from bus.lockstep.counters import MessageCounters
 from bus.partition import Partition
+from bus.spec import MOST_TICKS
 from bus.transports.base import Endpoint, Event, LivelinessChange, Received
 from bus.wire.format import DriveBatch
 from bus.wire.keys import owner_of
 
-EARLY_TICKS: Final = 64
-"""Ticks ahead up to which a frame is stored; in lockstep no sender is more than one tick ahead."""
+EARLY_TICKS: Final = 2 * MOST_TICKS
+"""Ticks ahead up to which a frame is stored.
+
+A message of a tick is read ``link_ticks`` later, and its sender may be ahead of the reader by as many."""
 
 
 @final
@@ -54,6 +57,7 @@ class FrameAssembler:
         first_tick: For each part, first live tick of the sender.
         end_tick: For each part, first tick in which the sender is dead.
         latest: Last tick accepted: frames of later ticks are refused.
+        newest: Last tick of which a frame has come, of a dead sender too; -1 before the first.
     """
 
     def __init__(
@@ -71,6 +75,7 @@ class FrameAssembler:
         self.first_tick = [0] * len(blank)
         self.end_tick = [NO_TICK_LIMIT] * len(blank)
         self.latest = NO_TICK_LIMIT
+        self.newest = -1
         self._deaths = False
         self._expected: set[int] = set()
         self._any_tick = False
@@ -94,6 +99,7 @@ class FrameAssembler:
             raise WireError(
                 self._kind, "ahead", f"tick {tick}: must be at most {self.latest}, the last begun"
             )
+        self.newest = max(self.newest, tick)
         if tick < self.now or not self.first_tick[part] <= tick < self.end_tick[part]:
             self._handle_departed(part, tick, value)
             return

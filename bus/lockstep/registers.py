@@ -267,7 +267,8 @@ class RegisterReceiver:
         partition: Partition of the cells into shards.
         wanted: Requests of the plant.
         counts: Counters to update.
-        now: Returns the current tick.
+        now: Returns the tick whose drives are gathered.
+        ahead: Ticks by which cells may be ahead of that.
     """
 
     def __init__(
@@ -276,7 +277,10 @@ class RegisterReceiver:
         wanted: Sequence[RegisterRequest],
         counts: MessageCounters,
         now: Callable[[], int],
+        ahead: int = 0,
     ) -> None:
+        self._ahead = ahead
+        self._drained = -1
         self._partition = partition
         self._wanted = tuple(wanted)
         self._counts = counts
@@ -298,10 +302,11 @@ class RegisterReceiver:
             raise WireError("registers", "cells", f"must be cells of shard {shard}")
         # They come between the senses of their tick and its drives.
         now = self._now()
-        if frame.tick == self._shown:
+        again = frame.tick <= self._drained or (frame.tick, shard) in self._frames
+        if frame.tick == self._shown and again:
             return
-        if frame.tick > now:
-            raise WireError("registers", "ahead", f"tick {frame.tick}: must be at most {now}")
+        if frame.tick > now + self._ahead:
+            raise WireError("registers", "ahead", f"tick {frame.tick}: must be at most {now + self._ahead}")
         if frame.tick < now:
             self._counts.late += 1
             return
@@ -312,10 +317,12 @@ class RegisterReceiver:
             self._frames[frame.tick, shard] = frame  # others are for those who watch
 
     def show(self, tick: int) -> None:
-        """Ignore further registers of ``tick``, the last tick, whose drives have been gathered."""
+        """Ignore second registers of ``tick``, the last tick of which cells have senses."""
         self._shown = tick
 
     def drain(self) -> list[RegisterSnapshot]:
-        """Return register snapshots since the last call; a tick's snapshot is complete once its drives are gathered."""
-        frames, self._frames = self._frames, {}
-        return merge_frames(list(frames.values()), self._partition.lattice)
+        """Return the snapshots of ticks whose drives have been gathered since the last call."""
+        self._drained = self._now()
+        frames = [frame for (tick, _), frame in self._frames.items() if tick <= self._drained]
+        self._frames = {key: frame for key, frame in self._frames.items() if key[0] > self._drained}
+        return merge_frames(frames, self._partition.lattice)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from bus.errors import BusError, WireError
+from bus.errors import BusError, StateError, WireError
 from bus.lattice import NO_TICK_LIMIT
 from bus.lockstep.counters import MessageCounters
 from bus.lockstep.intervals import Membership
 from bus.lockstep.receive import FrameAssembler, PartialFrame, Route
+from bus.lockstep.snapshots import MessageBytes
 from bus.partition import Index
 from bus.transports.base import Endpoint, Publisher
 from bus.wire.fixed_layout import PayloadLayout
@@ -25,8 +26,8 @@ class TickInputs(NamedTuple):
     Attributes:
         sense: Sense frame of this tick; rows in the order of ``partition.cells(shard)``, false and zero for dead
             cells.
-        links: Messages on the links of ``partition.incoming(shard)``, sent in ``tick - 1``. At tick 0 nothing was
-            sent. None where the firmware has no messages.
+        links: Messages on the links of ``partition.incoming(shard)``, sent ``link_ticks`` before. Before tick 0
+            nothing was sent. None where the firmware has no messages.
     """
 
     sense: SenseFrame
@@ -43,6 +44,9 @@ class InboundFrames:
         form: The shard's side of the wire format.
         membership: Membership, owned by the caller, who announces changes by ``update_membership`` and ``admit``.
         counts: Counters to update.
+
+    Attributes:
+        parts_read: Payloads in which the messages of the last collected tick came.
     """
 
     def __init__(
@@ -56,12 +60,18 @@ class InboundFrames:
         self._form = form
         self._membership = membership
         self._counts = counts
+        self._message = wiring.message
+        self._links_shape = wiring.partition.incoming(shard).source.shape
         self._cells = wiring.partition.cells(shard)
         self._speaks = wiring.message is not None
         self._apart = self._speaks and bool(form.in_parts)
         """Whether messages come in payloads of their own."""
         self._link_keys = tuple(form.in_parts)
-        self._first = 0
+        self._link_ticks = wiring.latency.link_ticks
+        self._first_read = self._link_ticks
+        """First tick in which messages are read: nobody has sent the shard anything before its first tick."""
+        self._recalled: dict[int, LinkFrame] = {}
+        self.parts_read = 0
         self._senses = FrameAssembler("sense", form.blank_senses, form.decode_sense, counts)
         self._links = FrameAssembler("link", form.blank_links, form.decode_link, counts)
 
@@ -81,14 +91,17 @@ class InboundFrames:
     # --- a tick ---------------------------------------------------------------------------------
 
     def slots(self, tick: int) -> tuple[PartialFrame, PartialFrame | None]:
-        """Return the partial frames of the tick's senses and of the previous tick's messages; None without messages."""
-        # At its first tick nobody has sent it anything.
-        links = None if not self._apart or tick == self._first else self._links.slot(tick - 1)
+        """Return the partial frames of the tick's senses and of the messages due in it; None without messages."""
+        links = None
+        if self._apart and tick >= self._first_read:
+            links = self._links.slot(tick - self._link_ticks)
         return self._senses.slot(tick), links
 
     def received_count(self, tick: int) -> int:
-        """Return the number of payloads received, without messages sent in ``tick`` or later."""
-        return self._counts.delivered - (self._links.early(tick) if self._apart else 0)
+        """Return the number of payloads received, without messages that are read after ``tick``."""
+        sent = tick - self._link_ticks + 1
+        later = self._links.early(sent) if self._apart else 0
+        return self._counts.delivered - later - self._senses.early(tick + 1)
 
     def collect(self, tick: int) -> TickInputs:
         """Close a tick and return its inputs."""
@@ -102,12 +115,22 @@ class InboundFrames:
         sense = SenseFrame(tick, *senses)
         if not self._speaks:
             return TickInputs(sense, None)
-        values = self._form.blank_links
-        if tick == self._first:
+        values, sent = self._form.blank_links, tick - self._link_ticks
+        self.parts_read = 0
+        if tick < self._first_read:
+            recalled = self._recalled.pop(sent, None)
+            if recalled is not None:
+                return TickInputs(sense, recalled)
             sensed = self._form.blank_senses
         elif self._apart:
-            values = self._links.close(tick - 1).values
-        return TickInputs(sense, LinkFrame(tick - 1, *self._form.join_links(values, sensed)))
+            closed = self._links.close(sent)
+            values, self.parts_read = closed.values, sum(closed.have)
+        return TickInputs(sense, LinkFrame(sent, *self._form.join_links(values, sensed)))
+
+    @property
+    def newest_sense(self) -> int:
+        """Last tick of which senses have come, for dead cells too."""
+        return self._senses.newest
 
     @property
     def single_layouts(self) -> tuple[PayloadLayout, PayloadLayout] | None:
@@ -120,8 +143,8 @@ class InboundFrames:
         return next(iter(self._form.sense_units))
 
     def untouched(self, tick: int) -> bool:
-        """Whether nothing of ``tick`` or later has arrived, and the tick is not the shard's first."""
-        return tick == self._senses.now and tick != self._first and self._senses.untouched
+        """Whether nothing of ``tick`` or later has arrived, and messages are read in it."""
+        return tick == self._senses.now and tick >= self._first_read and self._senses.untouched
 
     def skip(self) -> None:
         """Close a tick whose only payload the caller has received by itself."""
@@ -134,34 +157,63 @@ class InboundFrames:
         self._senses.accept_any_tick()
         self._links.accept_any_tick()
 
-    def resume(self, tick: int) -> None:
-        """Resume at ``tick``; the neighbours' messages of the previous tick will be resent."""
-        self._senses.start_at(tick)
-        self._links.start_at(tick - 1)
+    @property
+    def recorded_ticks(self) -> int:
+        """Ticks whose messages are on their way at a time, in payloads of their own."""
+        return self._link_ticks if self._apart else 0
+
+    def resume(self, tick: int, links: Sequence[MessageBytes]) -> None:
+        """Resume at ``tick``.
+
+        Args:
+            tick: First tick to collect.
+            links: Messages that were on their way, from a snapshot.
+
+        Raises:
+            StateError: They are not those of this shard's links.
+        """
+        if self._apart:
+            first = tick - self._link_ticks
+            if len(links) != self._link_ticks:
+                raise StateError(f"messages of {len(links)} ticks: must be of {self._link_ticks}")
+            self._recalled = {first + i: self._frame(first + i, one) for i, one in enumerate(links)}
+            self.enter(tick)
+        else:
+            self._senses.start_at(tick)
+
+    def _frame(self, tick: int, data: MessageBytes) -> LinkFrame:
+        """Decode the messages of a tick from a snapshot."""
+        message = self._message
+        assert message is not None, "this is a bug: messages of a program without them"
+        count = self._links_shape[0]
+        if [len(part) for part in data] != [count, count * message.itemsize]:
+            raise StateError(f"messages of tick {tick}: must be of {count} links")
+        sent, values = (bytearray(part) for part in data)
+        return LinkFrame(tick, np.frombuffer(sent, np.bool_), np.frombuffer(values, message))
 
     def enter(self, tick: int) -> None:
-        """Start at ``tick``, the shard's first: no neighbour has sent messages before."""
-        self._first = tick
-        self.resume(tick)
+        """Start at ``tick``: no neighbour sends the shard anything that was sent before."""
+        self._first_read = tick + self._link_ticks
+        self._senses.start_at(tick)
+        self._links.start_at(tick)
 
     def update_membership(self) -> None:
         """Update the expected senders and receivers after a change of membership."""
         last, form = self._membership.end_by_group, self._form
         self._senses.update_membership(last(form.unit_cells))
-        # What is sent in tick k is read in k + 1: nobody sends to a cell that will not read.
-        sources, targets = last(form.in_sources), last(form.in_targets)
+        # Nobody sends to a cell that will not read.
+        sources, targets, later = last(form.in_sources), last(form.in_targets), self._link_ticks
         self._links.update_membership(
-            [min(source, target - 1) for source, target in zip(sources, targets, strict=True)]
+            [min(source, target - later) for source, target in zip(sources, targets, strict=True)]
         )
 
     def awaited_key(self, tick: int) -> str:
-        """Return a key on which a message sent in ``tick`` is missing."""
-        return self._link_keys[self._links.missing(tick)[0]]
+        """Return a key on which a message due in ``tick`` is missing."""
+        return self._link_keys[self._links.missing(tick - self._link_ticks)[0]]
 
-    @property
-    def awaited(self) -> int:
-        """Number of messages that are missing in the current tick."""
-        return len(self._links.missing(self._links.now))
+    def awaited(self, tick: int) -> int:
+        """Return the number of messages sent in ``tick``, or the first tick that is not closed, that are missing."""
+        return len(self._links.missing(max(tick, self._links.now)))
 
     def discard(self, tick: int) -> None:
         """Discard messages of ``tick`` from senders lost by then; call after ``update_membership``."""
@@ -181,7 +233,7 @@ class InboundFrames:
         self._senses.admit(first(form.unit_cells), last(form.unit_cells))
         sources, targets = form.in_sources, form.in_targets
         since = [max(pair) for pair in zip(first(sources), first(targets), strict=True)]
-        until = [min(s, t - 1) for s, t in zip(last(sources), last(targets), strict=True)]
+        until = [min(s, t - self._link_ticks) for s, t in zip(last(sources), last(targets), strict=True)]
         self._links.admit(since, until)
 
 
@@ -214,6 +266,7 @@ class OutboundFrames:
         self._shard = shard
         self._form = form
         self._membership = membership
+        self._link_ticks = wiring.latency.link_ticks
         self._lattice = wiring.partition.lattice
         self._message = self._seen = wiring.message
         self._cells = wiring.partition.cells(shard)
@@ -254,15 +307,6 @@ class OutboundFrames:
         self._check(drive, links)
         return self._encode(drive, links)
 
-    def encode_again(self, links: LinkFrame) -> list[tuple[Publisher, bytes]]:
-        """Encode a tick's messages a second time; drives in the payloads are zero.
-
-        The coordinator of a resumed run has the drives of that tick.
-        """
-        if self._form.relays:
-            return self._encode(DriveFrame(links.tick, np.zeros(self._shape)), links)
-        return self._encode_links(self._from_live(links))
-
     def _encode(self, drive: DriveFrame, links: LinkFrame | None) -> list[tuple[Publisher, bytes]]:
         if self._single and self._membership.unchanged:
             try:
@@ -294,9 +338,10 @@ class OutboundFrames:
         return [put for put, read in zip(puts, self._has_reader(links.tick), strict=True) if read]
 
     def _has_reader(self, tick: int) -> list[bool]:
-        """Return whether each part of the outgoing links has a live sender, and a live receiver a tick later."""
+        """Return whether each part of the outgoing links has a live sender, and a receiver that lives to read it."""
+        read = tick + self._link_ticks
         return [
-            source > tick and target > tick + 1
+            source > tick and target > read
             for source, target in zip(self._out_until, self._target_until, strict=True)
         ]
 
@@ -401,9 +446,9 @@ class ParticipantMembership:
 
     def mark_lost(self, cells: Iterable[int], tick: int) -> None:
         """Mark ``cells`` as lost in ``tick``: count their missing messages as lost and discard those of ``tick``."""
-        waited = self._incoming.awaited
+        waited = self._incoming.awaited(tick)
         self.mark_dead(cells, tick)
-        self._counts.lost += waited - self._incoming.awaited
+        self._counts.lost += waited - self._incoming.awaited(tick)
         self._incoming.discard(tick)
 
     def allow_early(self, cells: Iterable[int]) -> None:

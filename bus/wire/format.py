@@ -17,8 +17,10 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.errors import StateError
 from bus.partition import Index, Partition
 from bus.sensors import CameraFrame, Labels, SensorSchema
+from bus.spec import NO_LATENCY, BusSpec
 from bus.wire.fixed_layout import Decode, PayloadLayout
 from bus.wire.frames import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values, check_message
 from bus.wire.keys import check_run
@@ -34,6 +36,7 @@ class RunSchema:
         partition: Partition of the cells into shards.
         readings: Sensors of the cells.
         message: The protocol's message type; None without messages.
+        latency: Latency of the messages, in ticks.
 
     Raises:
         RunNameError: The name can't stand in a key.
@@ -44,11 +47,17 @@ class RunSchema:
     partition: Partition
     readings: SensorSchema
     message: np.dtype[Any] | None
+    latency: BusSpec = NO_LATENCY
 
     def __post_init__(self) -> None:
         check_run(self.run)
         if self.message is not None:
             object.__setattr__(self, "message", check_message(self.message))
+
+    @property
+    def lookahead(self) -> int:
+        """Ticks by which the plant runs ahead of the drives."""
+        return self.latency.lookahead(talks=self.message is not None)
 
 
 class Senses(NamedTuple):
@@ -79,6 +88,23 @@ class RelayedLinks(NamedTuple):
 
     sent: NDArray[np.uint8]
     message: NDArray[np.void]
+
+
+def relayed_links(wiring: RunSchema, data: tuple[bytes, bytes]) -> RelayedLinks:
+    """Decode relayed messages from a snapshot.
+
+    Args:
+        wiring: Schema of the run.
+        data: The bytes of ``RelayedLinks.sent`` and ``RelayedLinks.message``.
+
+    Raises:
+        StateError: They are not of the run's links.
+    """
+    partition, message = wiring.partition, wiring.message
+    links = sum(len(partition.incoming(shard)) for shard in range(partition.count))
+    if message is None or [len(part) for part in data] != [links, links * message.itemsize]:
+        raise StateError(f"relayed messages: must be of {links} links")
+    return RelayedLinks(np.frombuffer(data[0], np.uint8), np.frombuffer(data[1], message))
 
 
 class DriveBatch(ABC):
@@ -138,7 +164,7 @@ class CoordinatorCodec(ABC):
 
         Args:
             frame: The senses of all cells.
-            relayed: Messages of the tick before, as ``relay`` returned them; None: nothing was sent.
+            relayed: Messages that are due in this tick, as ``relay`` returned them; None: nothing was sent.
         """
 
     @abstractmethod

@@ -62,7 +62,12 @@ def decode_fault_control(
 
 
 def attach_fault(
-    controller: Controller, lattice: Lattice, seed: int, fault: FaultInstance[CellFault]
+    controller: Controller,
+    lattice: Lattice,
+    seed: int,
+    fault: FaultInstance[CellFault],
+    *,
+    link_ticks: int = 1,
 ) -> Controller:
     """Attach a fault to a controller: extend the wrappers that exist, and insert those that are missing.
 
@@ -71,12 +76,13 @@ def attach_fault(
         lattice: Lattice of the array.
         seed: Seed of the scene.
         fault: The fault.
+        link_ticks: Ticks after which a message is read.
 
     Returns:
         The outermost controller.
     """
     for kind in _kinds(fault.fault, talks=controller.message_type is not None):
-        controller, found = _found(controller, kind, lattice, seed)
+        controller, found = _found(controller, kind, lattice, seed, link_ticks)
         found.add(fault)
     return controller
 
@@ -113,7 +119,7 @@ def _kinds(fault: CellFault, *, talks: bool) -> list[type[FaultWrapper]]:
 
 
 def _found(
-    controller: Controller, kind: type[_Kind], lattice: Lattice, seed: int
+    controller: Controller, kind: type[_Kind], lattice: Lattice, seed: int, link_ticks: int
 ) -> tuple[Controller, _Kind]:
     """Return a controller and its wrapper of type ``kind``; insert a wrapper if there is none."""
     outer = WRAPPERS[: WRAPPERS.index(kind)]
@@ -124,7 +130,7 @@ def _found(
         around, inside = inside, inside.controller
     if isinstance(inside, kind):
         return controller, inside
-    found = kind(inside, lattice, seed, lag=lag)
+    found = kind(inside, lattice, seed, lag=lag, link_ticks=link_ticks)
     if around is None:
         return found, found
     around.controller = found

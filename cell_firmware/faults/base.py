@@ -148,13 +148,17 @@ class FaultWrapper(ControllerWrapper):
         seed: Seed of the scene.
         lag: Age of an instant in the exchange in which its cells are stepped, ticks: 1 where cells have their own
             clocks.
+        link_ticks: Ticks after which a message is read.
 
     Attributes:
         faults: Faults that the wrapper carries out.
     """
 
-    def __init__(self, controller: Controller, lattice: Lattice, seed: int = 0, *, lag: int = 0) -> None:
+    def __init__(
+        self, controller: Controller, lattice: Lattice, seed: int = 0, *, lag: int = 0, link_ticks: int = 1
+    ) -> None:
         super().__init__(controller)
+        self.link_ticks = link_ticks
         self.lattice = lattice
         self.seed = seed
         self.start_tick = lag

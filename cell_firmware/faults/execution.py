@@ -106,6 +106,7 @@ class ExecutionFaultWrapper(FaultWrapper):
             "drive": np.zeros((n, 2)) if drive is None else drive.copy(),
             **{name: np.zeros(n, dtype=np.bool_) for name in ("stopped", "keeps", "unserved", "reset")},
             "restarts": np.zeros(n, dtype=np.int64),
+            "deaf_until": np.zeros(n, dtype=np.int64),
             **{_periods(one): np.zeros(n, dtype=np.int64) for one in self.faults},
         }
         return self.wrap_state(inner, own)
@@ -147,8 +148,12 @@ class ExecutionFaultWrapper(FaultWrapper):
         if reset.any():
             rows = np.flatnonzero(reset)
             inner = inner.replace_rows(rows, self.controller.reset(inner.select(rows)))
-            inputs = _unheard(inputs, rows)
             before = np.where(reset[:, None], 0.0, before)
+        # a program reads no message that was sent before it restarted
+        deaf_until = np.where(reset, now.tick + self.link_ticks, own["deaf_until"])
+        deaf = deaf_until > now.tick
+        if deaf.any():
+            inputs = _unheard(inputs, np.flatnonzero(deaf))
         if not stopped.any():
             inner, outputs = self.controller.compute(now, inner, inputs)
             drive, served = outputs.drive, outputs.served
@@ -162,6 +167,7 @@ class ExecutionFaultWrapper(FaultWrapper):
             **own,
             "drive": drive.copy(),
             "reset": np.zeros_like(reset),
+            "deaf_until": deaf_until,
             "restarts": own["restarts"] + (reset & ~stopped),
         }
         return (
@@ -193,7 +199,7 @@ def _periods(injected: FaultInstance[CellFault]) -> str:
 
 
 def _unheard(inputs: Inputs, rows: NDArray[np.int64]) -> Inputs:
-    """Return the inputs without messages to these cells: they were sent before the restart."""
+    """Return the inputs without messages to these cells."""
     if inputs.inbox is None:
         return inputs
     received, message = inputs.inbox.received.copy(), inputs.inbox.message.copy()

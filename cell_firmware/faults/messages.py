@@ -32,8 +32,10 @@ class MessageFaultWrapper(FaultWrapper):
     part = "words"
     shown = ("refused",)
 
-    def __init__(self, controller: Controller, lattice: Lattice, seed: int = 0, *, lag: int = 0) -> None:
-        super().__init__(controller, lattice, seed, lag=lag)
+    def __init__(
+        self, controller: Controller, lattice: Lattice, seed: int = 0, *, lag: int = 0, link_ticks: int = 1
+    ) -> None:
+        super().__init__(controller, lattice, seed, lag=lag, link_ticks=link_ticks)
         self._tampers: list[MessageFault] = []
         board = controller if isinstance(controller, Board) else None
         self._links = None if board is None else board.links

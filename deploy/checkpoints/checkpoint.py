@@ -9,11 +9,12 @@ from typing import Any, Final, cast, final
 
 from bus.errors import StateError
 from bus.lockstep.counters import MessageCounters
+from bus.lockstep.snapshots import MessageBytes
 from bus.state_codec import decode, encode
 from deploy.errors import InputError
 
 MAGIC: Final = b"MDMS checkpoint\n"
-FORMAT: Final = 3
+FORMAT: Final = 4
 """Raised when older checkpoints can no longer be read."""
 LARGEST_BYTES: Final = 4 << 30
 _HEAD: Final = len(MAGIC) + 2 + sha256().digest_size
@@ -33,6 +34,9 @@ class Checkpoint:
         time_ns: Simulated time reached, ns.
         process: State of the plant's process.
         states: State of the cells, by shard; only shards with a live cell.
+        links: Messages that were on their way to a shard, by shard, a tick each: whether there is one on each link,
+            and the messages.
+        relayed: Messages that the coordinator had not passed on, by the tick in which they were sent.
         run_log: State of the run log, the digest included.
         reporter: State of the protocol's reporter; None without a protocol report.
         counts: Payloads of all sides: sent, delivered, lost, late.
@@ -52,6 +56,8 @@ class Checkpoint:
     time_ns: int
     process: bytes
     states: dict[int, bytes]
+    links: dict[int, tuple[MessageBytes, ...]]
+    relayed: dict[int, MessageBytes]
     run_log: bytes
     reporter: bytes | None
     counts: tuple[int, int, int, int]
@@ -107,6 +113,8 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
     "time_ns": (int,),
     "process": (bytes,),
     "states": (dict,),
+    "links": (dict,),
+    "relayed": (dict,),
     "run_log": (bytes,),
     "reporter": (bytes, type(None)),
     "counts": (tuple,),
@@ -120,6 +128,8 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
 _ITEMS: Final[Mapping[str, tuple[type, type]]] = {
     "bound": (str, str),
     "states": (int, bytes),
+    "links": (int, tuple),
+    "relayed": (int, tuple),
     "refused": (tuple, int),
     "counters": (str, int),
     "recorded": (str, int),
@@ -142,6 +152,12 @@ def _check(values: Any) -> None:
     for name, (key, value) in _ITEMS.items():
         if any(type(k) is not key or type(v) is not value for k, v in found[name].items()):
             raise InputError(f"{name}: must map {key.__name__} to {value.__name__}")
+    for messages in (
+        *found["relayed"].values(),
+        *(one for links in found["links"].values() for one in links),
+    ):
+        if type(messages) is not tuple or list(map(type, cast("Any", messages))) != [bytes, bytes]:
+            raise InputError("links, relayed: messages of a tick must be two bytes each")
     for name in ("counts", "dead", "resumed"):
         if any(type(number) is not int or number < 0 for number in found[name]):
             raise InputError(f"{name}: must be numbers from 0")

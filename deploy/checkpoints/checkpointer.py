@@ -75,9 +75,9 @@ class Checkpointer:
     Each checkpoint starts early by the time that the previous one took to write. At most ``every_s`` of work is then
     lost when the process is killed.
 
-    Snapshots of the shards are requested one tick ahead, and sent once that tick is computed. The plant goes on
-    meanwhile, except while its own state is copied. A thread writes the file. One checkpoint is in progress at a time;
-    a checkpoint that can't be finished is abandoned, and the run goes on.
+    Snapshots of the shards are requested one tick ahead, and sent once the messages that were under way have been
+    read. The plant goes on meanwhile, except while its own state is copied. A thread writes the file. One checkpoint is
+    in progress at a time; a checkpoint that can't be finished is abandoned, and the run goes on.
 
     Args:
         every_s: Wall time between two checkpoints, s.
@@ -130,8 +130,9 @@ class Checkpointer:
                 self._host.request_snapshot(process.tick + 1)
                 self._draft = _Pending(process.tick + 1, self._last)
         elif draft.plant is None:
+            process.catch_up()
             process.report()
-            self._host.record_counters()
+            self._host.record_snapshot()
             if self._run_log.disturbed:
                 self._stop(
                     "faults were injected at run time, and a checkpoint doesn't hold them; to repeat the run, use "
@@ -200,6 +201,8 @@ class Checkpointer:
             options=about.options,
             resumed=about.resumed,
             states=together.states,
+            links=together.links,
+            relayed=together.relayed,
             counts=(counts.sent, counts.delivered, counts.lost, counts.late),
             refused=dict(counts.refused),
             counters=dict(counts.cell_counters),

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from deploy.recordings.reader import Recording
     from deploy.scenes.scene import Scene
 
-REPLAYED: Final = ("fault", "repair", "move")
+LOSS: Final = "loss"
+"""Kind of the command that stands for cells found lost."""
+REPLAYED: Final = ("fault", "repair", "move", LOSS)
 """Kinds of live commands that change what is simulated."""
 FOUND: Final = ("disconnected", "timed_out")
 """Losses that don't recur independently when the run is repeated."""
@@ -85,7 +87,7 @@ def _losses(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             lost.setdefault(key, []).append(fault["cell"])
     return [
         {
-            "kind": "fault",
+            "kind": LOSS,
             "tick": tick,
             "detail": {
                 "number": _FIRST_NUMBER + i,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Final, Protocol, cast, final
 
 import numpy as np
@@ -15,7 +16,7 @@ from bus.spec import Spec
 from bus.wire.frames import TEXT_LIMIT, Control
 from cell_firmware.faults.base import CellFault
 from deploy.control.flow import EndedByOperator, Flow, FlowProcess
-from deploy.control.replay import decode_command
+from deploy.control.replay import LOSS, decode_command
 from deploy.control.requests import (
     FaultRequest,
     InjectRequest,
@@ -240,18 +241,25 @@ class LiveFaults:
             "state": state,
         }
 
-    def inject(self, one: FaultInstance[FaultSpec]) -> None:
-        """Inject a fault from its first tick on."""
+    def inject(self, one: FaultInstance[FaultSpec], *, loss: bool = False) -> None:
+        """Inject a fault from its first tick on.
+
+        Args:
+            one: The fault.
+            loss: Whether it stands for cells that were found lost, whose drives in flight still act.
+        """
         self._faults[one.number] = one
         if isinstance(one.fault, CellFault):
             self._send(Control("fault", one.start_tick, (), json.dumps(one.record())))
         if isinstance(one.fault, PlantFault):
-            self._process.inject(cast("FaultInstance[PlantFault]", one))
+            later = self._scene.bus.sense_to_drive_ticks if loss else 0
+            wheels = replace(one, start_tick=one.start_tick + later) if later else one
+            self._process.inject(cast("FaultInstance[PlantFault]", wheels))
         self._run_log.inject(one)
         self._run_log.control(
             {
                 "time_s": one.start_tick * self._scene.tick_ns * 1e-9,
-                "kind": "fault",
+                "kind": LOSS if loss else "fault",
                 "tick": one.start_tick,
                 "detail": one.record(),
             }
@@ -454,4 +462,4 @@ class ControlServer:
             x_m, y_m, angle_rad = map(float, detail["pose"])
             self._place(int(detail["parcel"]), (x_m, y_m, angle_rad), tick)
         else:
-            self.faults.inject(decode_command(detail, self._scene))
+            self.faults.inject(decode_command(detail, self._scene), loss=record["kind"] == LOSS)

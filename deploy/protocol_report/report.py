@@ -289,6 +289,8 @@ def excluded_effects(scene: Scene, cells_dead: int) -> list[str]:
     """List the disturbances of a run that theory leaves out: effects on cells and links, and deaths."""
     enabled = dict(scene.effects.enabled())
     found = [f"effect {name}" for name in _DISTURBS if name in enabled]
+    if scene.bus.link_ticks > 1:
+        found.append(f"bus.link_ticks = {scene.bus.link_ticks}")
     if cells_dead:
         found.append(f"{plural(cells_dead, 'cell')} died")
     return found

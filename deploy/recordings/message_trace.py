@@ -50,7 +50,7 @@ class TracedMessage:
         read_tick: Tick in which the receiver's program read it; None: never.
         sent: Values as sent, by field; empty if it was never sent.
         read: Values as read, by field; empty if it was never read.
-        fate: ``read`` in the next tick; ``late``: in a later one; ``altered``: read in the next tick with other values;
+        fate: ``read`` when due; ``late``; ``altered``: read when due with other values;
             ``lost``; ``repeated``: read once more; ``made up``: read though nothing with these values was sent;
             ``under way`` at the end of the recording; ``not traced``: only one of both cells was traced.
         why: Reasons that the recording has for a fate other than ``read``: faults of that time, effects of the scene.
@@ -160,7 +160,8 @@ class _Link:
         sent, received = self.trace["sent"][:, row, side], self.trace["received"][:, there, their_side]
         waiting: dict[int, dict[str, Any]] = {}
         found: dict[int, dict[str, Any]] = {}
-        delay = None if self.reasons.delays else 1
+        due = self.reasons.link_ticks
+        delay = None if self.reasons.delays else due
         for place, tick in enumerate(self.ticks.tolist()):
             if received[place]:
                 values = self._values("read", place, there, their_side)
@@ -172,10 +173,10 @@ class _Link:
                 waiting[tick] = self._values("sent", place, row, side)
         last, stepped = int(self.ticks[-1]), self.trace["stepped"][:, there]
         for tick, values in waiting.items():
-            if tick >= last:
+            if tick > last - due:
                 yield self._message(tick, None, values, {}, "under way")
                 continue
-            idle = not stepped[int(np.searchsorted(self.ticks, tick + 1))]
+            idle = not stepped[int(np.searchsorted(self.ticks, tick + due))]
             why = ["the receiver was not stepped"] if idle else []
             yield self._message(tick, None, values, {}, "lost", why)
 
@@ -188,14 +189,15 @@ class _Link:
         delay: int | None,
     ) -> TracedMessage:
         """Return the message read in a tick, and remove it from the waiting messages."""
+        due = tick - self.reasons.link_ticks
         equal = [sent for sent in waiting if waiting[sent] == values]
         if equal:
             usual = equal[0] if delay is None else tick - delay
             sent_tick = usual if usual in equal else equal[-1]
             found[sent_tick] = said = waiting.pop(sent_tick)
-            return self._message(sent_tick, tick, said, values, "read" if sent_tick == tick - 1 else "late")
-        if tick - 1 in waiting:
-            return self._message(tick - 1, tick, waiting.pop(tick - 1), values, "altered")
+            return self._message(sent_tick, tick, said, values, "read" if sent_tick == due else "late")
+        if due in waiting:
+            return self._message(due, tick, waiting.pop(due), values, "altered")
         before = next((sent for sent in reversed(found) if found[sent] == values), None)
         if before is not None:
             return self._message(before, tick, found[before], values, "repeated")
@@ -223,7 +225,9 @@ class _Link:
             tick = read_tick if sent_tick is None else sent_tick
             assert tick is not None, "this is a bug: a message neither sent nor read"
             told += self.reasons.at(
-                tick, tick + 1 if read_tick is None else read_tick, (self.sender, self.receiver)
+                tick,
+                tick + self.reasons.link_ticks if read_tick is None else read_tick,
+                (self.sender, self.receiver),
             )
         return TracedMessage(
             self.sender, self.receiver, self.side, sent_tick, read_tick, sent, read, fate, ", ".join(told)
@@ -240,12 +244,14 @@ class _Reasons:
 
     Attributes:
         delays: Whether the scene has effects that delay messages.
+        link_ticks: Ticks after which a message is read.
     """
 
     def __init__(self, header: Header, faults: Sequence[Mapping[str, Any]]) -> None:
         effects: Mapping[str, Any] = header["scene"].get("effects") or {}
         acting = [name for name in _LINK_EFFECTS if effects.get(name)]
         self._effects = [f"effects.{name}" for name in acting]
+        self.link_ticks = int(header["scene"].get("bus", {}).get("link_ticks", 1))
         self.delays = any(name != "link_loss" for name in acting)
         self._faults: list[tuple[int, int | None, str, frozenset[tuple[int, int]]]] = []
         ends = {

@@ -150,6 +150,8 @@ class InProcess:
 class _DirectPort:
     """The lockstep as calls of one shard."""
 
+    lookahead = 0
+
     def __init__(self, shard: Shard) -> None:
         self.shard = shard
         self._senses: SenseFrame | None = None

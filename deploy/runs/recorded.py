@@ -170,7 +170,8 @@ class RecordedRun:
                 snapshots=self.metadata is not None,
                 messages=setup.options.messages is not None,
                 traced=setup.options.trace_messages is not None,
-                resume=resumed and ResumePoint(resumed.tick, resumed.dead, resumed.states),
+                resume=resumed
+                and ResumePoint(resumed.tick, resumed.dead, resumed.states, resumed.links, resumed.relayed),
                 counters=resumed and resumed.all_counts(),
             ),
             plant=self.plant,

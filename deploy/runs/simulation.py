@@ -90,7 +90,9 @@ class Simulation:
         process = PlantProcess(
             plant,
             port,
-            RunClock(scene.tick_ns, scene.duration_ns, cell_times(scene), pace),
+            RunClock(
+                scene.tick_ns, scene.duration_ns, cell_times(scene), pace, scene.bus.sense_to_drive_ticks
+            ),
             DeathPolicy(
                 permanent_crashes(scene),
                 scene.stall,

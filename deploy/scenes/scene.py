@@ -9,7 +9,7 @@ from pydantic import Field, PrivateAttr, ValidationError, field_validator, model
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from bus.fault import tick_at
-from bus.spec import Positive, Spec, StallSpec
+from bus.spec import NO_LATENCY, BusSpec, Positive, Spec, StallSpec
 from cell_firmware.specs import CellsSpec, SpeedLoopSpec, nanoseconds
 from deploy.faults.registry import Fault
 from deploy.scenes.checks import cross_problems, normal_parameters
@@ -63,6 +63,7 @@ class Scene(Spec):
     effects: EffectsSpec = EffectsSpec()
     faults: tuple[Fault, ...] = ()
     solver: SolverSpec = ExactSpec()
+    bus: BusSpec = NO_LATENCY
     stall: StallSpec = StallSpec()
     goal: GoalSpec | None = None
 
@@ -198,6 +199,8 @@ class Scene(Spec):
                     del parcel[key]
         if data["effects"].get("parcel_contact", {}).get("bounce_speed_m_s", 0) is None:
             del data["effects"]["parcel_contact"]["bounce_speed_m_s"]
+        if self.bus == NO_LATENCY:
+            del data["bus"]
         data["faults"] = [
             {key: value for key, value in fault.items() if value is not None} for fault in data["faults"]
         ]

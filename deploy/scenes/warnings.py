@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
     from plant.parcel_spec import PolygonSpec
 
+_MARGIN_USED: Final = 0.5
+"""Share of the delay margin from which dead time is worth a warning."""
 _LONG_PERIOD_S: Final = 1.0
 """Control period from which it is taken for one in other units."""
 
@@ -24,12 +26,34 @@ def scene_warnings(scene: Scene) -> Iterator[str]:
     yield from _degrees(scene)
     yield from _large_parcels(scene)
     yield from _late_faults(scene)
+    yield from _dead_time(scene)
     period_s = scene.cells.period_s
     if period_s >= _LONG_PERIOD_S:
         yield f"cells.period_s = {period_s:g}: a control period of seconds; an HC11's real-time interrupt is 0.004096 s"
     if scene.ticks <= 1:
         yield (
             f"duration_s = {scene.duration_s:g}: the run is over after one tick, which takes {scene.tick_ns * 1e-9:g} s"
+        )
+
+
+def _dead_time(scene: Scene) -> Iterator[str]:
+    """Drives that act so late that the speed loops oscillate."""
+    ticks, loop, motors = scene.bus.sense_to_drive_ticks, scene.speed_loop, scene.effects.motors
+    if not ticks or loop is None or motors is None:
+        return
+    from cell_firmware.delay_margin import delay_margin_s
+
+    motor = motors.first_order
+    margin_s = delay_margin_s(loop, motor.speed_per_volt_m_s, motor.time_constant_s)
+    # The drive is held for a tick, which delays it by half a tick on average.
+    dead_s = (ticks + 0.5) * scene.tick_ns * 1e-9
+    if dead_s > _MARGIN_USED * margin_s:
+        told = (
+            "the loops are unstable" if dead_s >= margin_s else "the wheels' speeds overshoot and oscillate"
+        )
+        yield (
+            f"bus.sense_to_drive_ticks = {ticks}: {dead_s * 1e3:.0f} ms of dead time in every speed loop, whose delay "
+            f"margin is {margin_s * 1e3:.0f} ms: {told}; lower cells.speed_loop's gains"
         )
 
 

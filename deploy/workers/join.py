@@ -69,11 +69,13 @@ class ResumedShard(Spec):
         tick: First tick to run.
         dead: Indices of the cells that were dead before this tick.
         state: State of the shard's cells; None: all of them are dead.
+        links: Messages that were on their way to the shard.
     """
 
     tick: _Count
     dead: tuple[_Count, ...]
     state: bytes | None
+    links: tuple[tuple[bytes, bytes], ...]
 
 
 class JoinAnswer(Spec):
@@ -105,7 +107,12 @@ class JoinAnswer(Spec):
         point, schema = order.resumed, order.sensors
         resumed = None
         if point is not None and not joins_running:
-            resumed = ResumedShard(tick=point.tick, dead=point.dead, state=point.states.get(shard))
+            resumed = ResumedShard(
+                tick=point.tick,
+                dead=point.dead,
+                state=point.states.get(shard),
+                links=tuple(point.links.get(shard, ())),
+            )
         return cls(
             wire=order.wire,
             sensors=(schema.sensors, schema.encoders, schema.levels, schema.labels, schema.camera),
@@ -130,7 +137,9 @@ class JoinAnswer(Spec):
         if self.resumed is not None:
             state = self.resumed.state
             states = {} if state is None else {shard: state}
-            resumed = ResumePoint(self.resumed.tick, self.resumed.dead, states)
+            resumed = ResumePoint(
+                self.resumed.tick, self.resumed.dead, states, {shard: self.resumed.links}, relayed={}
+            )
         return WorkerConfig(
             scene=scene,
             array=CellArray(scene.array),

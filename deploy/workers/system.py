@@ -242,11 +242,12 @@ class System:
             message=make_controller(scene, cell_faults(scene), live=live).link_type,
             wanted=wanted,
             stall=scene.stall,
+            latency=scene.bus,
             keeps=keeps,
         )
         self._order = order
         if resumed is not None and counted is not None:
-            host.resume(resumed.tick, resumed.dead, counted)
+            host.resume(resumed.tick, resumed.dead, counted, resumed.relayed)
         self._cells.start(order)
         self._barrier(host, self._endpoint, self._cells)
         if self._external is not None:

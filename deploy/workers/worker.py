@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -13,17 +13,15 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
-from bus.errors import WireError
 from bus.partition import Partition
-from bus.transports.base import Endpoint, LivelinessChange, Received
-from bus.wire.frames import decode_control
-from bus.wire.keys import plant_key
+from bus.transports.base import Endpoint
 from deploy.scenes.fault_schedule import Deaths, in_run_faults, of_cells, permanent_crashes
 from deploy.workers import cell_output, debugger
 
 if TYPE_CHECKING:
     from bus.lockstep import Participant, WireFormat
     from bus.lockstep.registers import RegisterRequest
+    from bus.lockstep.snapshots import MessageBytes
     from bus.sensors import SensorSchema
     from bus.spec import StallSpec
     from cell_firmware.agent import ShardResult
@@ -48,11 +46,15 @@ class ResumePoint:
         tick: First tick to run.
         dead: Indices of the cells that were dead before this tick.
         states: State of the cells, by shard; only shards with a live cell.
+        links: Messages that were on their way to a shard, by shard; only shards with a live cell.
+        relayed: Messages that the coordinator had not passed on, by the tick in which they were sent.
     """
 
     tick: int
     dead: tuple[int, ...]
     states: Mapping[int, bytes]
+    links: Mapping[int, Sequence[MessageBytes]]
+    relayed: Mapping[int, MessageBytes]
 
 
 @final
@@ -185,7 +187,7 @@ def _serve(
     if order.resumed is not None:
         _recall(order.resumed, shard, cells, records, member)
     member.ready()
-    first, ended = _first(order, cells, member), None
+    first, ended = _first(order, member), None
     if first is not None:
         cells.start_at(first)
         inject = agent.injector(cells, site, order.partition.lattice)
@@ -195,7 +197,8 @@ def _serve(
         doomed = order.own_process and dead_by_schedule(order, shard, schedule, first + ended.ticks)
         # Whoever had no cells left from the beginning stays none the less: the start waits for all.
         absent = order.resumed is not None and shard not in order.resumed.states
-        if (doomed or absent) and _wait_for_next_tick(order.run, len(order.array), endpoint) and order.killed:
+        # Whoever kills itself earlier sometimes loses its last messages.
+        if (doomed or absent) and member.confirmed(first + ended.ticks) and order.killed:
             os.kill(os.getpid(), signal.SIGKILL)
     member.close()
     return ended
@@ -214,6 +217,7 @@ def open_participant(order: WorkerConfig, shard: int, endpoint: Endpoint, cells:
         readings=order.sensors,
         message=cells.message,
         stall=order.scene.stall,
+        latency=order.scene.bus,
         wanted=order.register_requests,
         cell_counters=cells.counters,
         keeps=order.snapshots,
@@ -261,18 +265,15 @@ def _recall(
 
     if shard in resumed.states:
         load_state(cells, resumed.states[shard], records)
-    member.resume(resumed.tick, resumed.dead)
+    member.resume(resumed.tick, resumed.dead, resumed.links.get(shard, ()))
 
 
-def _first(order: WorkerConfig, cells: Shard, member: Participant) -> int | None:
+def _first(order: WorkerConfig, member: Participant) -> int | None:
     """Return the first tick of a shard that is ready; None if the run stops before."""
-    from bus.wire.frames import LinkFrame
-
     if order.resumed is None:
         return member.join() if order.joins_running else 0
-    first, said = order.resumed.tick, cells.boundary_links
-    member.resend_links(None if said is None else LinkFrame(first - 1, said.sent, said.message))
-    return first
+    member.resumed()
+    return order.resumed.tick
 
 
 def make_controller(
@@ -335,7 +336,7 @@ def cell_faults(scene: Scene) -> CellFaults | None:
         return None
     from cell_firmware.build import CellFaults
 
-    return CellFaults(scene.lattice(), injected, scene.seed)
+    return CellFaults(scene.lattice(), injected, scene.seed, scene.bus.link_ticks)
 
 
 def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
@@ -384,6 +385,7 @@ def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
         index,
         stages,
         () if faults is None else faults.injected,
+        link_ticks=scene.bus.link_ticks,
     )
     shard.shows_messages = order.messages or order.byte_accurate_links
     return BuiltShard(shard, site, records_of(firmware))
@@ -393,30 +395,3 @@ def dead_by_schedule(order: WorkerConfig, shard: int, schedule: Deaths, ticks: i
     """Whether every cell of the shard is dead by the schedule after so many ticks."""
     dead = {cell for tick, cells in schedule.items() if tick <= ticks for cell in cells}
     return dead.issuperset(order.partition.cells(shard).tolist())
-
-
-def _wait_for_next_tick(run: str, cells: int, endpoint: Endpoint) -> bool:
-    """Wait until the plant begins the tick of the crash; False if the run ends instead.
-
-    All messages sent before have arrived by then. A process that killed itself earlier would sometimes lose its last
-    messages.
-    """
-    control = plant_key(run, "control")
-    while True:
-        event = endpoint.receive(None)
-        if isinstance(event, Received):
-            if event.key.endswith("/sense"):
-                return True
-            if event.key == control and _says_stop(event.payload, cells):
-                return False
-        elif (
-            isinstance(event, LivelinessChange) and event.key == plant_key(run, "alive") and not event.present
-        ):
-            return False
-
-
-def _says_stop(payload: bytes, cells: int) -> bool:
-    try:
-        return decode_control(payload, cells).kind == "stop"
-    except WireError:
-        return False  # somebody else's

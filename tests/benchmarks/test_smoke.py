@@ -29,12 +29,16 @@ N = r"-?[\d.,]+(?:e[-+]\d+)?"
 SCRIPTS: dict[str, Smoke] = {
     "bus/detection.py": Smoke("--killed 2 --stopped 1 --lease 0.5", rf"\| stopped .* \| 1 \| {N} \| {N} \|"),
     "bus/fuzz_decoders.py": Smoke("--frames 100 --files 10", rf"\| recording, messages \| 5 \| {N} .* 0 \|"),
+    "bus/hosts.py": Smoke(
+        "--side 4 --duration 0.2 --turns 1", rf"(three: {N} ticks/s; ratio {N}|not measured: .+)"
+    ),
     "bus/keys_cost.py": Smoke(
         "--ticks 100 --turns 1 --processes 2", rf"passwords +{N} ticks/s, {N} of plain"
     ),
     "bus/keys_flood.py": Smoke(
         "--ticks 300 --seconds 0.2 --kind late", rf"put {N}; ok, {N} ticks/s, .* {N} late;"
     ),
+    "bus/latency.py": Smoke("--delay 2 --ticks 20 --settings 2", rf"1 +2 +{N} +{N} +{N} x"),
     "bus/listeners_cost.py": Smoke("--case 0 --repeat 2", rf"stuck +{N} ticks/s +ratio {N}"),
     "bus/lockstep.py": Smoke(
         "--case 0 --sessions 1 --repeat 2", rf"1 worker, packed +{N} +{N} +{N} +{N} +{N}"

@@ -14,7 +14,7 @@ from bus.lockstep import Coordinator, Loss, Participant, TickInputs
 from bus.lockstep.registers import RegisterRequest
 from bus.partition import Partition
 from bus.sensors import CameraFrame, SensorSchema
-from bus.spec import StallSpec
+from bus.spec import NO_LATENCY, BusSpec, StallSpec
 from bus.transports.base import Endpoint, Event, LivelinessChange, Publisher, Received, Urgency
 from bus.transports.memory import MemoryBus
 from bus.transports.zenoh import open_client, open_hub
@@ -123,6 +123,8 @@ class System:
     stall: StallSpec = field(default_factory=StallSpec)
     clock: FakeClock | None = None
     wanted: Sequence[RegisterRequest] = ()
+    latency: BusSpec = NO_LATENCY
+    keeps: bool = False
 
     def __post_init__(self) -> None:
         self.endpoint = self._clocked(self.network.endpoint())
@@ -150,6 +152,8 @@ class System:
             "message": self.message,
             "stall": self.stall,
             "wanted": self.wanted,
+            "latency": self.latency,
+            "keeps": self.keeps,
         }
         if self.clock is not None:
             agreed["clock"] = self.clock

@@ -253,7 +253,10 @@ def _registers() -> Target:
 
 
 def _kept() -> Target:
-    records = [ShardSnapshot(1, (0, 0, 0, 0), b""), ShardSnapshot(TICK_LIMIT - 1, (5, 4, 3, 2), bytes(300))]
+    records = [
+        ShardSnapshot(1, (0, 0, 0, 0), (), b""),
+        ShardSnapshot(TICK_LIMIT - 1, (5, 4, 3, 2), ((b"\1", b"12345678"),) * 2, bytes(300)),
+    ]
 
     def decode(payload: bytes) -> tuple[int, ShardSnapshot]:
         kept = decode_snapshot(payload, 3)

@@ -177,7 +177,7 @@ def _put_well_formed(form: WireFormat, seed: int) -> None:
             system.host.admit(tick)
             _step(system, tick)
             for member in system.members:
-                member.drain_faults()
+                member.drain_faults(tick)
         except CoordinatorLostError:
             break
         except AssertionError as stopped:

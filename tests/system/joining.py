@@ -40,6 +40,22 @@ def command(
     return [sys.executable, "-m", "tests.system.joining", *map(str, words)]
 
 
+def plant_command(scene: object, listen: str, shards: int | str, folder: object) -> list[str]:
+    """The command line of a plant that such processes join, in an open network."""
+    options = [
+        "--shards",
+        shards,
+        "--listen",
+        listen,
+        "--insecure",
+        "--output",
+        folder,
+        "--no-picture",
+        "--json",
+    ]
+    return [sys.executable, "-m", "deploy.cli", "plant", *map(str, [scene, *options])]
+
+
 def _forked(process: ShardProcess) -> int:
     child = os.fork()
     if child == 0:

@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 
 from bus.random_streams import rng
+from bus.spec import NO_LATENCY, BusSpec
 from deploy.recordings.reader import load
 from deploy.runs.run import run
 from deploy.runs.summary import Outcome
@@ -66,6 +67,7 @@ class Schedule:
     policy: str
     respawn: int
     blows: tuple[Blow, ...]
+    bus: BusSpec = NO_LATENCY
 
     @classmethod
     def drawn(cls, seed: int) -> Schedule:
@@ -92,6 +94,7 @@ class Schedule:
             ("array", "columns"): 6,
             ("cells", "parameters", "held"): [{"columns": [0, 0], "speed_m_s": [0.3, 0.0]}],
             ("parcels", 0, "position_m"): [0.0, 0.0],
+            ("bus",): self.bus.model_dump(),
             ("stall",): {
                 "policy": self.policy,
                 "deadline_s": DEADLINE_S,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +14,7 @@ from deploy.recordings.reader import load
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
 from deploy.workers.plan import RunOptions
-from tests.system.joining import command
+from tests.system.joining import command, plant_command
 from tests.system.relay import CELLS, PLANT, Relay
 
 Small = Callable[..., Path]
@@ -25,10 +24,8 @@ PATIENT = "[stall]\nlease_s = 10.0\ndeadline_s = 20.0\n"
 def _run_apart(scene: Path, folder: Path, relay: Relay, *, cut_s: float) -> tuple[dict[str, Any], float]:
     """Run a scene over the relay, with one cut in the middle; returns its summary and its wall time."""
     endpoint = f"tcp/{PLANT}:7447"
-    options = ["--shards", "each", "--listen", endpoint, "--insecure", "--no-picture", "--json"]
-    listening = [sys.executable, "-m", "deploy.cli", "plant", str(scene), *options]
     with relay:
-        plant = relay.start(PLANT, CELLS, [*listening, "--output", str(folder / "out")])
+        plant = relay.start(PLANT, CELLS, plant_command(scene, endpoint, "each", folder / "out"))
         relay.start(CELLS, PLANT, command(scene, endpoint, "each", "small"))
         relay.go()
         recording = folder / "out" / "recording.mcap"

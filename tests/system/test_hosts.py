@@ -65,8 +65,9 @@ class Apart:
         path = self.folder / "recording.mcap"
         self.wait_for(lambda: path.exists() and path.stat().st_size > size, "the recording grew")
 
-    def status(self) -> subprocess.CompletedProcess[str]:
-        process = self.hosts.start("c", [*MDMS, "status", "--connect", self.router, "--json"])
+    def asked(self, *command: object) -> subprocess.CompletedProcess[str]:
+        """An operator's command on a host."""
+        process = self.hosts.start("c", [*MDMS, *command, "--connect", self.router, "--json"])
         stdout, stderr = process.communicate(timeout=20.0)
         return subprocess.CompletedProcess([], process.returncode, stdout, stderr)
 
@@ -108,8 +109,8 @@ def test_a_run_over_three_hosts_has_the_digest_of_one_process_although_a_host_is
 def test_a_router_that_is_restarted_loses_all_cells_by_name_and_they_rejoin_when_started_again(
     hosts: Hosts, small: Small, tmp_path: Path
 ) -> None:
-    scene = small()
-    scene.write_text(scene.read_text().replace("duration_s = 0.2", "duration_s = 4.0"))
+    scene = small(PATIENT)
+    scene.write_text(scene.read_text().replace("duration_s = 0.2", "duration_s = 12.0"))
     apart = Apart(hosts, scene, tmp_path / "out", "--realtime", "--respawn", 4)
     apart.wait_until_recorded(12_000)
     apart.routers[0].kill()
@@ -118,7 +119,8 @@ def test_a_router_that_is_restarted_loses_all_cells_by_name_and_they_rejoin_when
         assert cells.returncode == 1
     apart.start_router()
     again = [apart.start_cells(host) for host in SHARDS]
-    apart.wait_for(lambda: apart.status().returncode == 0, "all cells are back")
+    apart.wait_for(lambda: apart.asked("status").returncode == 0, "all cells are back")
+    assert apart.asked("control", "speed", "max").returncode == 0
     stdout, stderr = apart.plant.communicate(timeout=30.0)
     assert apart.plant.returncode == 0, stderr
     summary = summary_of(stdout)

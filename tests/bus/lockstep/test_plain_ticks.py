@@ -101,7 +101,7 @@ def test_a_control_record_makes_the_tick_one_to_gather(system: System) -> None:
     system.host.control(Control("fault", 2, ((0, 1),), "{}"))
     assert run_tick(system, 2, plain=True)[1] is False
     member = system.members[1]
-    assert [fault.kind for fault in member.drain_faults()] == ["fault"]
+    assert [fault.kind for fault in member.drain_faults(2)] == ["fault"]
     assert run_tick(system, 3, plain=True) == [True] * 3
 
 

@@ -9,7 +9,7 @@ from bus.lockstep.counters import MessageCounters
 from bus.lockstep.snapshots import ShardSnapshot, SnapshotCollector, decode_snapshot, encode_snapshot
 from bus.wire.frames import Control, decode_control, encode_control
 
-SNAPSHOT = ShardSnapshot(7, (4, 3, 2, 1), b"state")
+SNAPSHOT = ShardSnapshot(7, (4, 3, 2, 1), ((b"\1\0", b"messages"),), b"state")
 
 
 def test_it_comes_over_as_it_was() -> None:
@@ -39,16 +39,23 @@ def test_a_state_that_is_no_bytes_is_refused() -> None:
         decode_snapshot(encode_snapshot(SNAPSHOT._replace(state="text")), 1)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("links", [b"", (b"",), ((b"", b"", b""),), (("", ""),)])
+def test_messages_that_are_no_pairs_of_bytes_are_refused(links: object) -> None:
+    with pytest.raises(WireError, match="links must be a list of two bytes each"):
+        decode_snapshot(encode_snapshot(SNAPSHOT._replace(links=links)), 1)  # type: ignore[arg-type]
+
+
 def test_the_snapshot_is_complete_once_every_shard_has_responded() -> None:
     keeping = SnapshotCollector(7, [0, 2])
     keeping.handle(2, SNAPSHOT)
-    keeping.record_counters(MessageCounters(10, 10))
+    keeping.record(MessageCounters(10, 10), {})
     assert keeping.missing == [0]
     assert keeping.combined({}) is None
     keeping.handle(0, SNAPSHOT._replace(state=b"other"))
     together = keeping.combined({1: MessageCounters(100, 0), 2: MessageCounters(1_000, 0)})
     assert together is not None
     assert together.states == {0: b"other", 2: b"state"}
+    assert together.links == dict.fromkeys((0, 2), SNAPSHOT.links)
     # the plant's side, both that answered, and one that had left; not what one that answered said as it left
     assert (together.counts.sent, together.counts.delivered) == (10 + 4 + 4 + 100, 10 + 3 + 3)
 

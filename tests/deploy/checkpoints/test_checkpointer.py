@@ -35,9 +35,9 @@ class Books:
         self.requested.append(tick)
         self.keeping = SnapshotCollector(tick, [0])
 
-    def record_counters(self) -> None:
+    def record_snapshot(self) -> None:
         assert self.keeping is not None
-        self.keeping.record_counters(MessageCounters())
+        self.keeping.record(MessageCounters(), {})
 
     def poll_snapshot(self) -> Any:
         return None if self.keeping is None else self.keeping.combined({})
@@ -80,7 +80,7 @@ class Scenery:
         self.now = now
         self.checkpointer.before_tick(self.process)
         if answer and self.books.keeping is not None:
-            self.books.keeping.handle(0, ShardSnapshot(self.books.keeping.tick, (1, 1, 0, 0), b"cells"))
+            self.books.keeping.handle(0, ShardSnapshot(self.books.keeping.tick, (1, 1, 0, 0), (), b"cells"))
         self.process.step()
         self.checkpointer.poll()
 

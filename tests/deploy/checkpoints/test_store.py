@@ -27,6 +27,8 @@ CHECKPOINT = Checkpoint(
     time_ns=28_672_000,
     process=b"plant",
     states={0: b"cells", 3: b"more"},
+    links={0: ((b"\1", b"message"),)},
+    relayed={2: (b"\1", b"message")},
     run_log=b"run log",
     reporter=None,
     counts=(4, 3, 2, 1),
@@ -180,7 +182,7 @@ def test_where_none_is_whole_what_is_the_matter_with_each_is_said(tmp_path: Path
 
 
 def test_another_format_is_refused_by_its_number() -> None:
-    with pytest.raises(InputError, match="of format 7: this version reads format 3"):
+    with pytest.raises(InputError, match="of format 7: this version reads format 4"):
         Checkpoint.from_bytes(MAGIC + (7).to_bytes(2, "little") + CONTENT[len(MAGIC) + 2 :])
 
 

@@ -66,9 +66,9 @@ def test_cells_that_were_lost_crash_from_that_tick_until_they_came_back() -> Non
         )
     )
     assert [(record["kind"], record["tick"], record["detail"]["number"]) for record in script] == [
-        ("fault", 5, 1_000_000),
-        ("fault", 5, 1_000_001),
-        ("fault", 9, 1_000_002),
+        ("loss", 5, 1_000_000),
+        ("loss", 5, 1_000_001),
+        ("loss", 9, 1_000_002),
     ]
     assert [
         (record["detail"]["fault"]["cells"], record["detail"]["first"], record["detail"]["end"])

@@ -110,3 +110,14 @@ def test_every_command_that_takes_a_scene_prints_its_warnings_once(
     assert main([name, "elliptic", *settings, *more]) == (2 if name == "accuracy" else 0)
     line = "mdms: warning: parcels[0].angle_rad = 90: more than a turn"
     assert capsys.readouterr().err.count(line) == 1
+
+
+def test_dead_time_in_the_speed_loops_is_told_from_half_of_their_delay_margin() -> None:
+    # the default loop bears 78.5 ms
+    assert _of("bus.sense_to_drive_ticks=9", scene="motors") == []
+    (line,) = _of("bus.sense_to_drive_ticks=10", scene="motors")
+    assert "43 ms of dead time" in line
+    assert "delay margin is 79 ms: the wheels' speeds overshoot" in line
+    (line,) = _of("bus.sense_to_drive_ticks=19", scene="motors")
+    assert "the loops are unstable" in line
+    assert _of("bus.sense_to_drive_ticks=64") == []
