@@ -80,7 +80,7 @@ def test_the_kustomization_makes_the_secrets_that_pods_mount(tmp_path: Path) -> 
     folder = tmp_path / "kubernetes"
     shutil.copytree(KUBERNETES, folder)
     (folder / "keys").mkdir(exist_ok=True)
-    for name in ("all", "cells-0", "cells-1"):
+    for name in ("router", "plant", "cells-0", "cells-1"):
         (folder / "keys" / f"{name}.tar").write_bytes(b"")
     rendered = subprocess.run(
         ["kubectl", "kustomize", str(folder)], capture_output=True, text=True, check=True, timeout=60
