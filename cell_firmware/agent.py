@@ -33,11 +33,13 @@ class ShardResult:
         ticks: Ticks that were stepped.
         detail: Reason for the end, from the stop record.
         failures: Cells whose firmware failed during the run.
+        stopped: Whether the plant's stop record ended the shard; False: its cells died, or a program did not return.
     """
 
     ticks: int
     detail: str
     failures: tuple[FirmwareFailed, ...]
+    stopped: bool
 
 
 Inject = Callable[[Control], None]
@@ -217,7 +219,7 @@ class _Agent:
         return self._inputs is not None
 
     def _result(self, ticks: int, detail: str) -> ShardResult:
-        return ShardResult(ticks, detail, tuple(self._failures))
+        return ShardResult(ticks, detail, tuple(self._failures), self._member.stopped)
 
     def _apply_faults(self, tick: int) -> None:
         for fault in self._member.drain_faults(tick):

@@ -34,6 +34,7 @@ class ControlState:
         stop: The record that ends the run; None until it arrives.
         rejoins_offered: Rejoin records that the shard has not answered yet.
         rejoin_tick: First tick of the shard's own cells after a rejoin; None until known.
+        joining: Whether the shard joins a running simulation, and has not been admitted yet.
         on_show: Called when the plant requests the registers once more, for observers.
         snapshot_tick: Tick before which the plant requests a snapshot; -1 if it requests none.
         unanswered: Cells (indices) reported as failed whose loss the plant has not announced yet.
@@ -53,6 +54,7 @@ class ControlState:
         self.stop: Control | None = None
         self.rejoins_offered: list[Control] = []
         self.rejoin_tick: int | None = None
+        self.joining = False
         self.on_show: Callable[[], None] = _ignore
         self.snapshot_tick = -1
         self.unanswered: set[int] = set()
@@ -90,11 +92,19 @@ class ControlState:
                 self._membership.allow_early(cells)
             case "rejoin_commit":
                 if self._membership.admit(cells, control.tick):
-                    self.rejoin_tick = control.tick
+                    self.rejoin_tick, self.joining = control.tick, False
             case "lost":
-                self._membership.mark_lost(cells, control.tick)
-                self.unanswered.difference_update(cells)
+                self._mark_lost(cells, control.tick)
         self._counts.delivered += 1
+
+    def _mark_lost(self, cells: list[int], tick: int) -> None:
+        """Note the loss of cells (indices)."""
+        if (
+            self.joining
+        ):  # until the shard is admitted, the loss of its own cells is that of the process before it
+            cells = [cell for cell in cells if not self._membership.owns([cell])]
+        self._membership.mark_lost(cells, tick)
+        self.unanswered.difference_update(cells)
 
     def _take_request(self, control: Control) -> None:
         """Handle a request for a snapshot or for the registers."""

@@ -307,6 +307,11 @@ class Coordinator:
             drive[~live] = 0.0
         return drive
 
+    def awaited(self) -> list[int]:
+        """Return the shards whose drives of the next tick to gather have not arrived; from any thread."""
+        shard_of, cells = self._wiring.partition.shard_of, self._form.unit_cells
+        return sorted({int(shard_of[int(cells[unit][0])]) for unit in self._drives.awaited()})
+
     # --- who takes part -------------------------------------------------------------------------
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
@@ -326,7 +331,12 @@ class Coordinator:
         Returns:
             Indices of the readmitted cells, ascending. Their drives are expected from ``tick`` on, and the rejoin has
             been announced to all shards.
+
+        Raises:
+            WaitInterrupted: ``endpoint.wake`` was called.
         """
+        if self._membership.rejoins:
+            self._inbox.poll(0.0)  # while no cell is live, nothing else reads what arrives
         return self._membership.admit(tick)
 
     # --- what shards remember and show ----------------------------------------------------------

@@ -101,6 +101,8 @@ class CoordinatorMembership:
 
     def _drop_units(self, units: list[int], tick: int, reason: Reason) -> None:
         self._counts.lost += len(units)
+        if reason == "timed_out":  # a process that is still there must go before another takes its place
+            self._roll.ever_left.difference_update(units)
         before = len(self._losses)
         self._drop([int(i) for unit in units for i in self._unit_cells[unit]], tick, reason)
         for loss in self._losses[before:]:

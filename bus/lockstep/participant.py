@@ -111,6 +111,7 @@ class Participant:
             self._incoming.accept_any_tick()
         token, control = plant_key(run, "alive"), plant_key(run, "control")
         self._control = ControlState(partition.lattice, self._membership, token, self.counters)
+        self._control.joining = joins
         self.drain_faults: Callable[[int], list[Control]] = self._control.drain_faults
         self._inbox = Dispatcher(endpoint, partition, self.counters, self._control.handle_token)
         self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._control.handle, 0)}
@@ -439,6 +440,11 @@ class Participant:
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Mark ``cells`` (indices in the lattice) as dead from ``tick`` on; their process may rejoin."""
         self._membership.mark_dead(cells, tick)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the plant's stop record has come."""
+        return self._control.stop is not None
 
     @property
     def unchanged(self) -> bool:

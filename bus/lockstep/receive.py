@@ -210,6 +210,12 @@ class FrameAssembler:
         slots = {self.now: self._current, **self._early}
         return sum(sum(slot.have) for when, slot in slots.items() if when >= tick)
 
+    def awaited(self) -> list[int]:
+        """Return the live parts of the frame of ``now`` that have not arrived; from any thread."""
+        now, have = self.now, self._current.have
+        intervals = enumerate(zip(self.first_tick, self.end_tick, strict=True))
+        return [part for part, (since, until) in intervals if since <= now < until and not have[part]]
+
     def missing(self, tick: int) -> list[int]:
         """Return the live parts of ``tick`` that have not arrived."""
         have = self.slot(tick).have

@@ -45,9 +45,16 @@ def cell_link_key(run: str, cell: tuple[int, int], side: int) -> str:
     return f"mdms/{run}/cell/{cell[0]}/{cell[1]}/to/{SIDES[side]}"
 
 
-def shard_key(run: str, shard: int | None, leaf: RunLeaf | Literal["report", "registers", "snapshot"]) -> str:
+def shard_key(
+    run: str, shard: int | None, leaf: RunLeaf | Literal["report", "registers", "snapshot", "join"]
+) -> str:
     """Key of one shard, or of every shard for None."""
     return f"mdms/{run}/shard/{'*' if shard is None else shard}/{leaf}"
+
+
+def shard_process_key(run: str, shard: int | None, process: str) -> str:
+    """Key of the token of a process that was started by hand for a shard; ``process``: its own name, or ``*``."""
+    return f"mdms/{run}/shard/{'*' if shard is None else shard}/process/{process}"
 
 
 def shard_link_key(run: str, source: int, target: int) -> str:
@@ -55,7 +62,7 @@ def shard_link_key(run: str, source: int, target: int) -> str:
     return f"mdms/{run}/shard/{source}/to/{target}"
 
 
-def plant_key(run: str, leaf: Literal["view", "control", "alive", "operator"]) -> str:
+def plant_key(run: str, leaf: Literal["view", "control", "alive", "operator", "status"]) -> str:
     """Key of the plant."""
     return f"mdms/{run}/plant/{leaf}"
 

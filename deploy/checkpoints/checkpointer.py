@@ -243,7 +243,8 @@ def checkpoint_metadata(
     if options.checkpoint_s is None:
         return None
     from bus.state import save_state
-    from deploy.checkpoints.store import check, fingerprint, options_record
+    from deploy.checkpoints.store import check, options_record
+    from deploy.scenes.fingerprint import fingerprint
 
     try:
         save_state(plant)

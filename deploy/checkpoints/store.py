@@ -6,8 +6,6 @@ import json
 import os
 from contextlib import suppress
 from dataclasses import asdict, replace
-from hashlib import sha256
-from inspect import getsourcefile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -16,7 +14,7 @@ from pydantic import ValidationError
 from deploy.checkpoints.checkpoint import LARGEST_BYTES, Checkpoint
 from deploy.errors import DeployError, InputError
 from deploy.scenes.scene import Scene
-from deploy.util.files import SUMMARY, sync_folder, versions
+from deploy.util.files import SUMMARY, sync_folder
 from deploy.workers.plan import RunOptions
 
 if TYPE_CHECKING:
@@ -201,23 +199,6 @@ def options_record(plan: Plan, options: RunOptions, *, live: bool) -> dict[str, 
         **{name: value for name, value in asdict(options).items() if name in _ALIKE},
         "processes": plan.setting,
         "wire": plan.wire,
-    }
-
-
-def fingerprint(scene: Scene) -> dict[str, str]:
-    """Return everything that determines the bits of a run, by name."""
-    from cell_firmware.cell import PerCellAdapter
-    from cell_firmware.loader import load
-    from plant.kernels.common.cache import key
-
-    firmware = load(scene.cells)
-    own = firmware.firmware if isinstance(firmware, PerCellAdapter) else firmware
-    path = getsourcefile(type(own))
-    return {
-        **versions(),
-        "the plant's kernels": key(),
-        "the scene": sha256(scene.canonical()).hexdigest(),
-        "the cells' program": "" if path is None else sha256(Path(path).read_bytes()).hexdigest(),
     }
 
 

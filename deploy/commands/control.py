@@ -11,10 +11,10 @@ import typer
 from deploy.commands.options import (
     JsonOption,
     OperatorKeysOption,
+    RunningAsOption,
     RunningAtOption,
-    RunningInOption,
     TimeoutOption,
-    address_of,
+    target_of,
 )
 from deploy.errors import InputError
 
@@ -43,7 +43,7 @@ def control(
     value: ValueArgument = None,
     *,
     connect: RunningAtOption = None,
-    run: RunningInOption = None,
+    run: RunningAsOption = None,
     keys: OperatorKeysOption = None,
     timeout: TimeoutOption = 5.0,
     as_json: JsonOption = False,
@@ -78,7 +78,8 @@ def control(
     request = {"op": action.value, **_value(action, value)}
     from deploy.control.client import ask_run
 
-    answer = ask_run(address_of(connect, run), request, timeout, keys)
+    endpoint, name = target_of(connect, run)
+    answer = ask_run(endpoint, request, timeout, keys, name)
     print(json.dumps(answer) if as_json else _line(action, answer))
 
 

@@ -13,10 +13,10 @@ from deploy.commands.completion import fault_kinds
 from deploy.commands.options import (
     JsonOption,
     OperatorKeysOption,
+    RunningAsOption,
     RunningAtOption,
-    RunningInOption,
     TimeoutOption,
-    address_of,
+    target_of,
 )
 from deploy.errors import InputError
 from deploy.scenes.overrides import Override, apply
@@ -63,7 +63,7 @@ def fault(
     sets: SetOption = None,
     for_s: ForOption = None,
     connect: RunningAtOption = None,
-    run: RunningInOption = None,
+    run: RunningAsOption = None,
     keys: OperatorKeysOption = None,
     timeout: TimeoutOption = 5.0,
     as_json: JsonOption = False,
@@ -86,11 +86,11 @@ def fault(
     {kinds}
     """
     requests = _requests(kind, target or [], side, sets or [], for_s)
-    connect = address_of(connect, run)
+    endpoint, name = target_of(connect, run)
     from deploy.control.client import ask_run
 
     for request in requests:
-        answer = ask_run(connect, request, timeout, keys)
+        answer = ask_run(endpoint, request, timeout, keys, name)
         if as_json:
             print(json.dumps(answer))
         else:

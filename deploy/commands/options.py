@@ -92,6 +92,15 @@ RunningInOption = Annotated[
         help="Output folder of the run. Default: the latest run below runs/ that has not ended.",
     ),
 ]
+RunningAsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--run",
+        metavar="DIR|NAME",
+        help="Output folder of the run; with --connect the run's name, where a router carries several. Default: the "
+        "latest run below runs/ that has not ended.",
+    ),
+]
 
 
 def _waited(timeout: float) -> float:
@@ -207,6 +216,29 @@ def address_of(connect: str | None, run: Path | None) -> str:
     from deploy.control.client import discover
 
     return discover(run).connect
+
+
+def target_of(connect: str | None, run: str | None) -> tuple[str, str]:
+    """Return endpoint and name of the running system that a command is to speak to.
+
+    Args:
+        connect: Value of ``--connect``.
+        run: Value of ``--run``: a name if there is an endpoint, else a folder.
+
+    Raises:
+        InputError: The name can't be one, or no run goes on there.
+    """
+    from bus.errors import RunNameError
+    from bus.wire.keys import check_run
+    from deploy.control.client import ANY_RUN, discover
+
+    if connect is None:
+        found = discover(None if run is None else Path(run))
+        return found.connect, found.run
+    try:
+        return connect, ANY_RUN if run is None else check_run(run)
+    except RunNameError as error:
+        raise InputError(f"--run: with --connect it is the name of a run: {error}") from None
 
 
 ParcelOption = Annotated[int, typer.Option("--parcel", metavar="N", help="Number of the parcel, from 0.")]

@@ -98,6 +98,16 @@ RealtimeOption = Annotated[
         help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as possible.",
     ),
 ]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        rich_help_panel=EXECUTION_PANEL,
+        metavar="ADDRESS",
+        help="Run each of --processes N on its own worker of the Dask cluster with this scheduler, such as "
+        "tls://10.0.0.5:8786, or its scheduler file. Workers on other hosts need --join and --keys.",
+    ),
+]
 MessagesOption = Annotated[
     int | None,
     typer.Option(
@@ -214,6 +224,7 @@ def run(
     join: JoinOption = None,
     keys: KeysOption = None,
     insecure: InsecureOption = False,
+    cluster: ClusterOption = None,
     realtime: RealtimeOption = None,
     paused: PausedOption = False,
     registers: RegistersOption = None,
@@ -255,6 +266,8 @@ def run(
         join=join,
         keys=keys,
         insecure=insecure,
+        external=cluster is not None,
+        cluster=cluster,
         realtime=realtime,
         paused=paused,
         output=scene_options.output,
@@ -269,7 +282,7 @@ def run(
         checkpoint_s=checkpoint,
     )
     with ExitStack() as held:
-        started = _prepare(scene_options, options, resume, held, read_only=show_plan)
+        started = prepare(scene_options, options, resume, held, read_only=show_plan)
         if show_plan:
             print_plan(plan(started.scene, started.options, "RUN"), as_json=scene_options.as_json)
             return
@@ -278,7 +291,7 @@ def run(
         execute("the run", work, as_json=scene_options.as_json)
 
 
-class _Prepared(NamedTuple):
+class PreparedRun(NamedTuple):
     """A run to execute.
 
     Attributes:
@@ -292,6 +305,10 @@ class _Prepared(NamedTuple):
     options: RunOptions
     checkpoint: Checkpoint | None
     lock: OutputLock | None
+
+    def named(self, name: str) -> PreparedRun:
+        """Return the same run with a name on the bus."""
+        return self._replace(options=replace(self.options, name=name))
 
     def run(self, interruption: Interruption, *, quiet: bool) -> Outcome:
         """Execute the run until its end, or until it is interrupted."""
@@ -307,14 +324,15 @@ class _Prepared(NamedTuple):
         )
 
 
-def _prepare(
+def prepare(
     scene_options: RunSceneOptions,
     options: RunOptions,
     resume: Path | None,
     held: ExitStack,
     *,
     read_only: bool,
-) -> _Prepared:
+    command: str = "mdms run",
+) -> PreparedRun:
     """Load the scene of a new run, or the checkpoint of a resumed one.
 
     Args:
@@ -323,17 +341,18 @@ def _prepare(
         resume: Output folder of the run to resume; None: the run is new.
         held: Releases the lock of that folder.
         read_only: Whether the folder is only read, which needs no lock.
+        command: The command, for messages.
 
     Raises:
         InputError: No scene is named, the scene is refused, or the run can't be resumed.
     """
     if resume is None:
         if not scene_options.scene:
-            raise InputError("mdms run: name a SCENE, or a run to resume: --resume DIR")
-        return _Prepared(scene_options.load(), options, None, None)
+            raise InputError(f"{command}: name a SCENE, or a run to resume: --resume DIR")
+        return PreparedRun(scene_options.load(), options, None, None)
     check_unchanged(resume, scene_options)
     lock = None if read_only else held.enter_context(lock_of(resume, quiet=scene_options.quiet))
-    return _Prepared(*taken_up(resume, options), lock)
+    return PreparedRun(*taken_up(resume, options), lock)
 
 
 def check_unchanged(folder: Path, scene_options: RunSceneOptions) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast, final
+from typing import TYPE_CHECKING, Any, Final, Literal, cast, final
 
 from bus.errors import TransportError
 from bus.wire.keys import plant_key
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 FILE_NAME: Final = "live.json"
 _AGAIN_S: Final = 0.05
 """Interval at which a run that is still starting is asked again, wall seconds."""
+_TOKENS_S: Final = 2.0
+"""Longest wait for the names of the runs at an endpoint, wall seconds."""
 
 
 @final
@@ -113,8 +115,12 @@ def _read(note: Path) -> Address | None:
     return address
 
 
+ANY_RUN: Final = "*"
+"""In place of a run's name: the only one at an endpoint."""
+
+
 def ask_run(
-    connect: str, request: dict[str, Any], timeout_s: float, keys: Path | None = None
+    connect: str, request: dict[str, Any], timeout_s: float, keys: Path | None = None, run: str = ANY_RUN
 ) -> dict[str, Any]:
     """Send a request to a run, and return the answer.
 
@@ -123,24 +129,67 @@ def ask_run(
         request: See ``deploy.control.server``.
         timeout_s: Wall time to wait for the answer, s.
         keys: Folder of the run's or the operator's keys; None if the run has none.
+        run: Name of the run; ``ANY_RUN``: the only one there.
 
     Returns:
         The answer: ``run``, ``tick``, ``time_s``, and the fields of this kind of request.
 
     Raises:
-        InputError: No plant listens there, or the plant doesn't accept the keys.
+        InputError: No plant listens there, the plant doesn't accept the keys, or a router carries several runs.
         RequestError: The run refuses the request; the message says why.
         DeployError: The run doesn't answer in time.
     """
     endpoint = operator_session(connect, timeout_s, keys)
     try:
-        return ask_at(endpoint, connect, request, timeout_s)
+        return ask_at(endpoint, connect, request, timeout_s, _only_run(endpoint, connect, run))
     finally:
         endpoint.close()
 
 
+def ask_status(connect: str, run: str, timeout_s: float, keys: Path | None = None) -> dict[str, Any]:
+    """Return the status of a run, which it answers at any time: see ``deploy.workers.status``.
+
+    Args:
+        connect: Endpoint on which the plant or a router listens.
+        run: Name of the run; ``ANY_RUN``: the only one there.
+        timeout_s: Wall time to wait for the answer, s.
+        keys: Folder of the run's or the operator's keys; None if the run has none.
+
+    Raises:
+        InputError: As of ``ask_run``.
+        DeployError: The run doesn't answer in time.
+    """
+    endpoint = operator_session(connect, timeout_s, keys)
+    try:
+        name = _only_run(endpoint, connect, run)
+        return ask_at(endpoint, connect, {}, timeout_s, name, "status")
+    finally:
+        endpoint.close()
+
+
+def _only_run(endpoint: ZenohEndpoint, connect: str, run: str) -> str:
+    """Return the name of the run to ask.
+
+    Raises:
+        InputError: It is not named, and there are several.
+    """
+    from bus.transports.zenoh.requests import tokens_at
+
+    if run != ANY_RUN:
+        return run
+    names = sorted(key.split("/")[1] for key in tokens_at(endpoint, plant_key(ANY_RUN, "alive"), _TOKENS_S))
+    if len(names) > 1:
+        raise InputError(f"{connect}: there are several runs, name one of them (--run): {', '.join(names)}")
+    return names[0] if names else ANY_RUN
+
+
 def ask_at(
-    endpoint: ZenohEndpoint, connect: str, request: dict[str, Any], timeout_s: float
+    endpoint: ZenohEndpoint,
+    connect: str,
+    request: dict[str, Any],
+    timeout_s: float,
+    run: str = ANY_RUN,
+    leaf: Literal["operator", "status"] = "operator",
 ) -> dict[str, Any]:
     """Send a request over an open session, and return the answer; see ``ask_run``.
 
@@ -149,7 +198,8 @@ def ask_at(
         DeployError: The run doesn't answer in time.
     """
     try:
-        answer = _answer(json.loads(_sent(endpoint, json.dumps(request).encode(), timeout_s)))
+        payload = json.dumps(request).encode()
+        answer = _answer(json.loads(_sent(endpoint, plant_key(run, leaf), payload, timeout_s)))
     except TransportError as error:
         raise DeployError(f"{connect}: {error}") from None
     except (ValueError, RecursionError):
@@ -159,7 +209,7 @@ def ask_at(
     return answer
 
 
-def _sent(endpoint: ZenohEndpoint, payload: bytes, timeout_s: float) -> bytes:
+def _sent(endpoint: ZenohEndpoint, key: str, payload: bytes, timeout_s: float) -> bytes:
     """Send a request, again and again while the run is still starting; return the response."""
     from bus.transports.zenoh.requests import NoResponderError, send_request
 
@@ -167,7 +217,7 @@ def _sent(endpoint: ZenohEndpoint, payload: bytes, timeout_s: float) -> bytes:
     while True:
         begun = time.monotonic()
         try:
-            return send_request(endpoint, plant_key("*", "operator"), payload, left_s)
+            return send_request(endpoint, key, payload, left_s)
         except NoResponderError:
             time.sleep(_AGAIN_S)
             left_s -= time.monotonic() - begun

@@ -36,8 +36,13 @@ _DRAWN_WITH: Final = ("matplotlib.figure", "matplotlib.backends.backend_agg")
 
 def run_name(scene: Scene, suffix: str) -> str:
     """Return a name for the run, valid in a key expression and in a file name."""
+    return f"{default_run(scene)}-{suffix}"
+
+
+def default_run(scene: Scene) -> str:
+    """Return the name of a run whose processes are started by hand: that of the scene, valid in a key expression."""
     stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(scene.name).stem).strip("-_")
-    return f"{stem[:40] or 'scene'}-{suffix}"
+    return stem[:40] or "scene"
 
 
 def recording_header(

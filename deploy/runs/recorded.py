@@ -24,6 +24,7 @@ from deploy.runs.result import RunResult
 from deploy.runs.simulation import Simulation
 from deploy.util.cell_ranges import select_cells
 from deploy.util.signals import Interrupted, Interruption
+from deploy.workers.status import RunProgress
 from deploy.workers.worker import ResumePoint, cell_faults, make_controller
 from plant.errors import PlantError, PlantStopped
 from plant.tick import TickHooks, TickRecord
@@ -179,6 +180,8 @@ class RecordedRun:
         coordinator = self.system.coordinator
         assert coordinator is not None, "this is a bug: the cells have started without a coordinator"
         self._add_hooks(simulation, coordinator)
+        if self.system.status is not None:
+            self.system.status.progress = lambda: self._progress(simulation, coordinator)
         if resumed is not None:
             restore_run(resumed, simulation.process, self.log, setup.reporter)
             simulation.losses = self.log.found
@@ -262,6 +265,18 @@ class RecordedRun:
         if len(self._traced):
             self.log.trace(shown.tick, trace_of(trace, self._traced, shown.tick - self._step_lag))
 
+    def _progress(self, simulation: Simulation, coordinator: Coordinator) -> RunProgress:
+        """Return the progress of the run, for whoever asks; called by another thread."""
+        assert self._control is not None, "this is a bug: the run has begun without a control server"
+        lost = {self.log.cells[loss.cell] for loss in simulation.losses}
+        return RunProgress(
+            simulation.tick,
+            simulation.time_s,
+            self._control.flow.state(),
+            [cell for cell in self.log.cells_lost if cell in lost],
+            coordinator.awaited(),
+        )
+
     def _interrupt(self, record: TickRecord) -> None:
         """End the run after a signal; a hook."""
         del record
@@ -311,7 +326,8 @@ class RecordedRun:
             return None
         from deploy.workers.respawn import Respawner
 
-        return Respawner(self.system, coordinator, self.setup.plan.partition, times, self.log.warn)
+        done = "may be started again" if self.setup.plan.external else "is restarted"
+        return Respawner(self.system, coordinator, self.setup.plan.partition, times, self.log.warn, done)
 
     def _control_server(self, simulation: Simulation, coordinator: Coordinator) -> ControlServer:
         """Return the control server, whose feed answers the run's viewers."""

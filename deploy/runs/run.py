@@ -19,6 +19,7 @@ from deploy.recordings.digest import Digest
 from deploy.recordings.run_log import RunLog
 from deploy.recordings.writer import Recorder
 from deploy.runs.output import (
+    default_run,
     draw_or_interrupt,
     draw_run_overview,
     plots_imported_ahead,
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from deploy.protocol_report.report import ProtocolReport
     from deploy.runs.checking import RunChecker
     from deploy.scenes.scene import Scene
+    from deploy.workers.plan import Plan
     from plant.plant import Plant
 
 
@@ -95,6 +97,20 @@ def _beside(folder: Path | None) -> Path | None:
     return next(path for i in count(2) if not (path := folder.with_name(f"{folder.name}-{i}")).exists())
 
 
+def joining(plan: Plan, scene: Scene, join: str) -> str:
+    """Say how processes of cells join a run that is waiting for them."""
+    count = plan.partition.count
+    which, values = f"--shard I/{count}", f"I from 0 to {count - 1}"
+    if plan.setting == "each":
+        which, values = "--cell ROW,COLUMN", f"for each of {count} cells"
+    elif count == 1:
+        which, values = "--shard 0/1", "one process"
+    named = "" if plan.run == default_run(scene) else f" --run {plan.run}"
+    return (
+        f"run {plan.run} waits for cells: mdms cells {scene.name} {which} --connect {join}{named} ({values})"
+    )
+
+
 @final
 class _Run:
     """One run of the whole system, from start-up to the plots."""
@@ -137,7 +153,9 @@ class _Run:
                 )
             if setup.options.picture and setup.options.realtime is None:
                 ahead.enter_context(plots_imported_ahead())
-            system.open()
+            system.open(self.interruption.raise_if_requested)
+            if setup.plan.external and setup.options.cluster is None:
+                self._warn(joining(setup.plan, setup.scene, system.join))
             if setup.options.listen is not None and system.locator:
                 self._warn(f"listeners and operators connect to {system.locator}")
             self.interruption.raise_if_requested()

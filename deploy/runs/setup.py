@@ -229,7 +229,7 @@ def prepare_run(scene: Scene, options: RunOptions, resumed: Checkpoint | None) -
     Raises:
         InputError: Bad input.
     """
-    planned = plan(scene, options, run_name(scene, secrets.token_hex(4)))
+    planned = plan(scene, options, options.name or run_name(scene, secrets.token_hex(4)))
     live = options.realtime is not None or options.paused or options.replay is not None
     warnings = warnings_of(scene)
     if options.messages is not None and not _talks(scene):

@@ -76,21 +76,30 @@ class Authority:
         )
         self.certificate = self._signed(made)
 
-    def server(self, name: str, hosts: Iterable[str]) -> CertificatePair:
-        """Create the certificate of a server with these names and addresses; valid for server authentication only."""
+    def server(self, name: str, hosts: Iterable[str], *, connects: bool = False) -> CertificatePair:
+        """Create the certificate of a server with these names and addresses.
+
+        Args:
+            name: Common name.
+            hosts: Names and addresses of the server's host.
+            connects: Whether the server connects to others as well, and is a client there.
+        """
         from cryptography import x509
-        from cryptography.x509.oid import ExtendedKeyUsageOID
+        from cryptography.x509.oid import ExtendedKeyUsageOID as Usage
 
         names = x509.SubjectAlternativeName([_host(host) for host in hosts])
-        return self._made(name, ExtendedKeyUsageOID.SERVER_AUTH, names)
+        usages = [Usage.SERVER_AUTH, Usage.CLIENT_AUTH] if connects else [Usage.SERVER_AUTH]
+        return self._made(name, usages, names)
 
     def client(self, name: str) -> CertificatePair:
         """Create the certificate of a client; valid for client authentication only."""
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
-        return self._made(name, ExtendedKeyUsageOID.CLIENT_AUTH)
+        return self._made(name, [ExtendedKeyUsageOID.CLIENT_AUTH])
 
-    def _made(self, name: str, usage: x509.ObjectIdentifier, *more: x509.ExtensionType) -> CertificatePair:
+    def _made(
+        self, name: str, usages: list[x509.ObjectIdentifier], *more: x509.ExtensionType
+    ) -> CertificatePair:
         from cryptography import x509
         from cryptography.hazmat.primitives import serialization
         from cryptography.hazmat.primitives.asymmetric import ec
@@ -99,7 +108,7 @@ class Authority:
         made = (
             self._builder(_name(name), key)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
+            .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
         )
         for extension in more:
             made = made.add_extension(extension, critical=False)

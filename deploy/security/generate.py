@@ -25,12 +25,12 @@ from deploy.security.manifest import (
     Kind,
 )
 from deploy.security.policy import access_control
-from deploy.security.roles import PLANT, ProcessLayout, Role, roles_of
+from deploy.security.roles import PLANT, ROUTER, ProcessLayout, Role, roles_of
 from deploy.util.formatting import say
 from deploy.util.output_lock import OutputLock
 
 LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
-"""Names of the plant's host that every server certificate includes."""
+"""Names of the plant's and the router's host that every server certificate includes."""
 
 _HEAD: Final = """\
 // What each role may do on the bus of a run: Zenoh's access_control, which the plant's session enforces.
@@ -59,7 +59,7 @@ def generate_keys(
         scene: Name of the scene.
         cut: Layout of the scene's cells in processes.
         kind: Kind of credentials of the roles.
-        hosts: Names and addresses of the plant's host besides loopback.
+        hosts: Names and addresses of the plant's host and of the router's, besides loopback.
         days: Validity of certificates, days.
         force: Replace existing keys.
         warn: Called with one line if files can't be locked there.
@@ -126,8 +126,8 @@ def _fill(
 ) -> KeyManifest:
     """Write the keys of every role, the access control and the manifest."""
     roles = roles_of(cut)
-    for role in roles:
-        (draft / role.name).mkdir(mode=0o700)
+    for name in (*(role.name for role in roles), ROUTER):
+        (draft / name).mkdir(mode=0o700)
     until = _certificates(draft, roles, names, days) if kind == "certificate" else _passwords(draft, roles)
     cells = {role.name: role.cells for role in roles}
     about = KeyManifest(kind=kind, scene=scene, wire=cut.wire, roles=cells, hosts=names, until=until)
@@ -155,21 +155,24 @@ def _certificates(draft: Path, roles: Iterable[Role], hosts: Iterable[str], days
     from deploy.security.certificates import Authority
 
     authority = Authority(days)
-    for role in roles:
-        made = authority.server(PLANT, hosts) if role.name == PLANT else authority.client(role.name)
-        _write(draft / role.name / AUTHORITY, authority.certificate)
-        _write(draft / role.name / CERTIFICATE, made.certificate)
-        _write(draft / role.name / KEY, made.key)
+    made = {role.name: authority.client(role.name) for role in roles if role.name != PLANT}
+    made[PLANT] = authority.server(PLANT, hosts, connects=True)
+    made[ROUTER] = authority.server(ROUTER, hosts)
+    for name, pair in made.items():
+        _write(draft / name / AUTHORITY, authority.certificate)
+        _write(draft / name / CERTIFICATE, pair.certificate)
+        _write(draft / name / KEY, pair.key)
     return authority.until
 
 
 def _passwords(draft: Path, roles: Iterable[Role]) -> None:
-    """Write the password of every role, and the plant's list of users; passwords don't expire."""
-    passwords = {role.name: secrets.token_urlsafe(_BYTES) for role in roles}
+    """Write the password of every role, and the list of users for plant and router; passwords don't expire."""
+    passwords = {name: secrets.token_urlsafe(_BYTES) for name in (*(role.name for role in roles), ROUTER)}
     for name, password in passwords.items():
         _write(draft / name / PASSWORD, f"{password}\n".encode())
     users = "".join(f"{name}:{password}\n" for name, password in passwords.items())
-    _write(draft / PLANT / USERS, users.encode())
+    for name in (PLANT, ROUTER):
+        _write(draft / name / USERS, users.encode())
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from deploy.errors import InputError
 from deploy.security.manifest import ACCESS, AUTHORITY, CERTIFICATE, KEY, KEYS, PASSWORD, USERS, KeyManifest
-from deploy.security.policy import QUESTION_LIMITS, part_of, size_limits
-from deploy.security.roles import OPERATOR, PLANT, ProcessLayout, roles_of
+from deploy.security.policy import QUESTION_LIMITS, part_of, router_access, size_limits
+from deploy.security.roles import OPERATOR, PLANT, ROUTER, ProcessLayout, roles_of
 from deploy.util.formatting import plural
 
 if TYPE_CHECKING:
@@ -48,6 +48,18 @@ def operator_of(folder: Path) -> Identity:
     return identity
 
 
+def cells_identity(folder: Path, role: str) -> Identity:
+    """Return the identity of a process of cells, from a run's keys or from the role's folder alone.
+
+    Raises:
+        InputError: The keys are missing, another role's, or have expired; see ``identity_of``.
+    """
+    own = folder / role if (folder / KEYS).exists() else folder
+    identity = identity_of(own, role)
+    _check(identity, role)
+    return identity
+
+
 @final
 class Keyring:
     """Keys of a run.
@@ -77,12 +89,13 @@ class Keyring:
         except OSError as error:
             raise InputError(f"{folder / KEYS}: can't be read: {error.strerror}") from None
 
-    def check(self, cut: ProcessLayout, host: str | None) -> None:
+    def check(self, cut: ProcessLayout, host: str | None, *, plant_alone: bool = False) -> None:
         """Check that every process has valid keys for a run with this layout.
 
         Args:
             cut: Layout of the cells in processes.
             host: Name or address of the plant's host; None: loopback.
+            plant_alone: Whether other processes have their keys elsewhere.
 
         Raises:
             InputError: The keys don't fit; the message names the reason in one line.
@@ -98,26 +111,44 @@ class Keyring:
                 f"--keys {self._folder}: the plant's certificate is for {', '.join(about.hosts)}, not for {host}: "
                 f"mdms keys --host {host} makes another"
             )
-        for role in roles:
+        for role in [PLANT] if plant_alone else roles:
             identity = identity_of(self._folder / role, role)
             if role != OPERATOR:
                 _check(identity, role)
 
-    def gate(self, cut: ProcessLayout) -> AccessPolicy:
-        """Return the access policy of the session that cells join; operators have no rights there."""
-        return self._gate(size_limits(cut), operators=False)
+    def gate(self, cut: ProcessLayout, *, operators: bool = False) -> AccessPolicy:
+        """Return the access policy of the session that cells join.
+
+        Args:
+            cut: Layout of the cells in processes.
+            operators: Whether operators may send requests there. They may not listen: this session drops nothing.
+        """
+        part = part_of(self._access(), operators=False, asking=operators)
+        return self._gate([*size_limits(cut), *QUESTION_LIMITS], part, PLANT)
 
     def outer_gate(self) -> AccessPolicy:
         """Return the access policy of the session for listeners and operators; cells have no rights there."""
-        return self._gate(QUESTION_LIMITS, operators=True)
+        return self._gate(QUESTION_LIMITS, part_of(self._access(), operators=True), PLANT)
 
-    def _gate(self, limits: list[dict[str, Any]], *, operators: bool) -> AccessPolicy:
+    def router_gate(self) -> AccessPolicy:
+        """Return the access policy of a router; it limits no sizes.
+
+        Raises:
+            InputError: The router's keys are missing or not valid.
+        """
+        _check(identity_of(self._folder / ROUTER, ROUTER), ROUTER)
+        return self._gate([], router_access(self._access(), self.about.kind), ROUTER)
+
+    def _gate(self, limits: list[dict[str, Any]], access: dict[str, Any], role: str) -> AccessPolicy:
         from bus.transports.zenoh.session import AccessPolicy
 
-        own = self._folder / PLANT
+        own = self._folder / role
         users = str(_secret(own / USERS)) if self.about.kind == "password" else None
-        access = json.dumps(part_of(self._access(), operators=operators))
-        return AccessPolicy(identity_of(own, PLANT), access, json.dumps(limits), users)
+        return AccessPolicy(identity_of(own, role), json.dumps(access), json.dumps(limits), users)
+
+    def plant_as_client(self) -> Identity:
+        """Return the plant's identity, as it presents itself to a router."""
+        return identity_of(self._folder / PLANT, PLANT)
 
     def of_cells(self, cut: ProcessLayout) -> tuple[Path, ...]:
         """Return the folder of each process of cells, by shard."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from bus.lockstep.snapshots import CELL_LIMIT
 from bus.wire.frames import COUNTER_LIMIT, TEXT_LIMIT
 from bus.wire.keys import cell_key, plant_key, shard_key
-from deploy.security.roles import OPERATOR, OPERATORS, PLANT, Role
+from deploy.security.roles import OPERATOR, OPERATORS, PLANT, PLANT_AT_ROUTER, Role
 
 if TYPE_CHECKING:
     from bus.transports.zenoh.session import AccessPolicy
@@ -57,7 +57,14 @@ def _limit(name: str, keys: list[str], size: int, message: str = "put") -> dict[
     return {"id": name, "flows": ["ingress"], "messages": [message], "key_exprs": keys, "size_limit": size}
 
 
-QUESTION_LIMITS: Final = [_limit("question", [plant_key("*", "operator")], _QUESTION, "query")]
+QUESTION_LIMITS: Final = [
+    _limit(
+        "question",
+        [plant_key("*", "operator"), plant_key("*", "status"), shard_key("*", None, "join")],
+        _QUESTION,
+        "query",
+    )
+]
 """Zenoh's ``low_pass_filter`` of the session for listeners and operators."""
 
 
@@ -69,9 +76,12 @@ _MESSAGES: Final = {
     "shows": ["liveliness_token"],
     "watches": ["declare_liveliness_subscriber", "liveliness_query"],
     "asks": ["query"],
+    "answers": ["declare_queryable", "reply"],
 }
 """Zenoh messages that each right of a role allows."""
 _OUT: Final = "what the plant lets out"
+_ASKING: Final = [f"{OPERATOR} {right}" for right in ("watches", "asks")]
+"""Rules by which operators send requests, and see which runs there are."""
 
 
 def access_control(roles: Iterable[Role], kind: str | None) -> dict[str, Any]:
@@ -85,7 +95,7 @@ def access_control(roles: Iterable[Role], kind: str | None) -> dict[str, Any]:
         kind: Kind of credentials, ``certificate`` or ``password``. None: no credentials, every peer has the only
             role.
     """
-    others = [role for role in roles if role.name != PLANT]
+    others = [role for role in roles if role.name != PLANT or role.puts]
     rules = [_rule(_OUT, ["egress"], ["put", "reply", *_DECLARED], ["**"])]
     policies: list[dict[str, Any]] = []
     for role in others:
@@ -107,16 +117,49 @@ def access_control(roles: Iterable[Role], kind: str | None) -> dict[str, Any]:
     }
 
 
-def part_of(access: dict[str, Any], *, operators: bool) -> dict[str, Any]:
-    """Return the part of an access control for the session of operators, or for the session that cells join."""
+def part_of(access: dict[str, Any], *, operators: bool, asking: bool = False) -> dict[str, Any]:
+    """Return the part of an access control for the session of operators, or for the session that cells join.
+
+    Args:
+        access: Access control of all roles.
+        operators: Whether it is the session of operators.
+        asking: Whether operators may send requests to the other session, too.
+    """
     retained = {name for one in access["subjects"] if ((name := one["id"]) == OPERATOR) == operators}
     policies = [
         {**one, "subjects": own}
         for one in access["policies"]
         if (own := [s for s in one["subjects"] if s in retained])
     ]
+    if asking and not operators:
+        retained.add(OPERATOR)
+        policies.append({"rules": [_OUT, *_ASKING], "subjects": [OPERATOR]})
     subjects = [one for one in access["subjects"] if one["id"] in retained]
     return {**access, "subjects": subjects, "policies": policies}
+
+
+def router_access(access: dict[str, Any], kind: str) -> dict[str, Any]:
+    """Return the access control of a router: that of all roles, and the plant's, which connects there.
+
+    Zenoh's limits of sizes are left out: they depend on the layout of the cells, which a router doesn't know.
+
+    Args:
+        access: Access control of all other roles.
+        kind: Kind of credentials, ``certificate`` or ``password``.
+    """
+    plant = access_control([PLANT_AT_ROUTER], kind)
+    rules = [rule for rule in plant["rules"] if rule["id"] != _OUT]
+    # The router passes on queries and declarations, not only what it owns itself.
+    passes = _rule(
+        _OUT, ["egress"], ["put", "reply", "query", "liveliness_query", *_WATCHED, *_DECLARED], ["**"]
+    )
+    others = [rule for rule in access["rules"] if rule["id"] != _OUT]
+    return {
+        **access,
+        "rules": [passes, *others, *rules],
+        "subjects": [*access["subjects"], *plant["subjects"]],
+        "policies": [*access["policies"], *plant["policies"]],
+    }
 
 
 def open_gate() -> AccessPolicy:
@@ -126,6 +169,7 @@ def open_gate() -> AccessPolicy:
     return AccessPolicy(None, json.dumps(access_control([OPERATORS], None)), json.dumps(QUESTION_LIMITS))
 
 
+_WATCHED: Final = ["declare_liveliness_subscriber"]
 _DECLARED: Final = ["declare_subscriber", "declare_queryable", "liveliness_token"]
 """Declarations that the plant's session forwards: subscribers, queryables and liveliness tokens."""
 

@@ -6,13 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
-from bus.wire.keys import WireFormat, cell_key, cell_link_key, plant_key, shard_key, shard_link_key
+from bus.wire.keys import (
+    WireFormat,
+    cell_key,
+    cell_link_key,
+    plant_key,
+    shard_key,
+    shard_link_key,
+    shard_process_key,
+)
 
 if TYPE_CHECKING:
     from bus.partition import Partition
 
 PLANT: Final = "plant"
 OPERATOR: Final = "operator"
+ROUTER: Final = "router"
+"""Name of a router's credentials, which are a server's and give no rights."""
 
 _ANY: Final = "*"
 """Run part of a key: rights apply to any run, since a run's name is drawn at its start."""
@@ -31,6 +41,7 @@ class Role:
         shows: Keys of liveliness tokens to show.
         watches: Keys of liveliness tokens to watch.
         asks: Keys to query.
+        answers: Keys whose queries it answers.
     """
 
     name: str
@@ -40,13 +51,23 @@ class Role:
     shows: tuple[str, ...] = ()
     watches: tuple[str, ...] = ()
     asks: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
 
 
+PLANT_AT_ROUTER: Final = Role(
+    PLANT,
+    puts=("mdms/**",),
+    hears=("mdms/**",),
+    shows=(plant_key(_ANY, "alive"),),
+    watches=("mdms/**",),
+    answers=("mdms/**",),
+)
+"""Role of a plant that connects to a router; its own sessions are not checked."""
 OPERATORS: Final = Role(
     OPERATOR,
     hears=("mdms/**",),
     watches=("mdms/**",),
-    asks=(plant_key(_ANY, "operator"), plant_key(_ANY, "view")),
+    asks=(plant_key(_ANY, "operator"), plant_key(_ANY, "view"), plant_key(_ANY, "status")),
 )
 """Role that listens to a run from outside and sends requests."""
 
@@ -92,8 +113,9 @@ def _cells(cut: ProcessLayout, shard: int) -> Role:
         cut.cells(shard),
         puts=(*puts, *(shard_key(_ANY, shard, leaf) for leaf in ("report", "registers", "snapshot"))),
         hears=(*hears, plant_key(_ANY, "control")),
-        shows=shows,
+        shows=(*shows, shard_process_key(_ANY, shard, _ANY)),
         watches=(plant_key(_ANY, "alive"),),
+        asks=(shard_key(_ANY, shard, "join"),),
     )
 
 

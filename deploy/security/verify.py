@@ -8,21 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from deploy.errors import InputError
-from deploy.security.roles import PLANT
+from deploy.security.roles import PLANT, ROUTER
 
 if TYPE_CHECKING:
     from bus.transports.zenoh import Certificate
 
 
 def check_certificate(identity: Certificate, role: str) -> None:
-    """Check a certificate by a TLS handshake with itself in memory: the plant's as a server, others as clients.
+    """Check a certificate by a TLS handshake with itself in memory: plant and router as servers, others as clients.
 
     Raises:
         InputError: The certificate has expired, another authority signed it, the key doesn't match, or the role
             differs.
     """
     try:
-        shown = _shaken(identity, as_server=role == PLANT)
+        shown = _shaken(identity, as_server=role in (PLANT, ROUTER))
     except ssl.SSLCertVerificationError as error:
         raise InputError(f"{identity.certificate}: {error.verify_message}: mdms keys makes another") from None
     except (ssl.SSLError, OSError) as error:

@@ -37,11 +37,13 @@ class Interruption:
     Attributes:
         requested: Whether a signal has come.
         is_idle: Called in the signal handler: whether the run only waits.
+        wake: Called in the signal handler, to end a wait; None: nothing is called.
     """
 
     def __init__(self) -> None:
         self.requested = False
         self.is_idle: Callable[[], bool] = lambda: False
+        self.wake: Callable[[], None] | None = None
         self._allowed = False
         self._raised = False
 
@@ -101,6 +103,8 @@ class Interruption:
     def _note(self, number: int, frame: FrameType | None) -> Any:
         del number, frame
         self.requested = True
+        if self.wake is not None:
+            self.wake()
         # One exception is enough: what it unwinds is not to be interrupted again.
         if not self._raised and (self._allowed or self.is_idle()):
             self._raised = True

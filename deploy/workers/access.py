@@ -9,7 +9,9 @@ from bus.errors import TransportError
 from bus.wire.keys import message_kinds
 from deploy.errors import InputError
 from deploy.security.policy import open_gate
-from deploy.workers.plan import Option, check_opened, loopback_address, socket_in
+from deploy.util.formatting import say
+from deploy.workers.connecting import connect_patiently
+from deploy.workers.listening import Option, check_opened, loopback_address, socket_in
 from deploy.workers.socket_folder import SocketFolder
 
 if TYPE_CHECKING:
@@ -43,33 +45,61 @@ class Access:
 
     def __init__(self, plan: Plan, stall: StallSpec, options: RunOptions, keyring: Keyring | None) -> None:
         self._plan = plan
+        self._stall = stall
         self._lease_s = stall.lease_s
         self._options = options
         self._keyring = keyring
         self._folder: SocketFolder | None = None
         self._mirror: Mirror | None = None
+        self._asked: list[ZenohEndpoint] = []
+        """Endpoints at which operators' requests are taken."""
         self.join = ""
         self.locator = ""
 
-    def open(self) -> ZenohEndpoint:
-        """Open both endpoints.
+    def open(self, check: Callable[[], None] | None = None) -> ZenohEndpoint:
+        """Open both endpoints; or connect to the router, which carries cells, listeners and operators.
+
+        Args:
+            check: Called while the router is waited for; may raise to end the wait.
 
         Returns:
             The plant's endpoint for the cells; the caller closes it after closing this object.
 
         Raises:
             InputError: A port is in use, or an endpoint is invalid or reachable from more than is allowed.
+            DeployError: No router listens in time.
         """
+        if self._options.router is not None:
+            hub = self._connected(self._options.router, check)
+        else:
+            hub = self._listening()
+        if self._mirror is not None:
+            self._asked.append(self._mirror.outside)
+        if self._options.external:
+            self._asked.append(hub)
+        return hub
+
+    def _connected(self, router: str, check: Callable[[], None] | None) -> ZenohEndpoint:
+        """Connect to a router."""
+        identity = None if self._keyring is None else self._keyring.plant_as_client()
+        self.join = self.locator = router
+        return connect_patiently(
+            router, self._stall, identity, "the plant", say, check=check, one_thread=False
+        )
+
+    def _listening(self) -> ZenohEndpoint:
+        """Open both endpoints."""
         from bus.transports.zenoh import Mirror, open_hub, open_outside
 
         keyring, options, plan = self._keyring, self._options, self._plan
         join = options.join
-        if join is None and keyring is None:
+        if join is None and keyring is None and (not options.external or options.cluster is not None):
             self._folder = SocketFolder()
             join = socket_in(str(self._folder.path))
-        gate = None if keyring is None else keyring.gate(plan.cut)
+        gate = None if keyring is None else keyring.gate(plan.cut, operators=options.external)
         outer = open_gate() if keyring is None else keyring.outer_gate()
-        hub = self._opened("--join", lambda: open_hub(join, lease_s=self._lease_s, gate=gate))
+        joining: Option = "--listen" if options.external and options.cluster is None else "--join"
+        hub = self._opened(joining, lambda: open_hub(join, lease_s=self._lease_s, gate=gate))
         try:
             outside = self._opened(
                 "--listen", lambda: open_outside(options.listen, lease_s=self._lease_s, gate=outer)
@@ -91,8 +121,8 @@ class Access:
         """Open the queue of operators' requests on ``key``."""
         from bus.transports.zenoh.requests import RequestQueue
 
-        assert self._mirror is not None, "this is a bug: not open"
-        return RequestQueue(self._mirror.outside, key)
+        assert self._asked, "this is a bug: not open"
+        return RequestQueue(key, *self._asked)
 
     def close(self) -> None:
         """Close the endpoint for listeners and operators, and remove the folder of the other's socket."""

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import ipaddress
 import os
-import re
-import socket
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, final
+from typing import TYPE_CHECKING, Any, Literal, final
 
 from bus.errors import PartitionError
 from bus.lattice import Lattice
@@ -18,150 +14,11 @@ from bus.wire.keys import WireFormat
 from deploy.errors import InputError
 from deploy.scenes.memory_limit import too_many_workers
 from deploy.security.roles import ProcessLayout
+from deploy.workers.listening import Kind, Option, check_listening, free_port, joined_at
 
 if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
     from deploy.security.manifest import KeyManifest
-
-
-Kind = Literal["certificate", "password"]
-Option = Literal["--listen", "--join"]
-"""``--listen``: for listeners and operators. ``--join``: for processes of cells."""
-
-_ENDPOINT: Final = re.compile(r"(?P<protocol>[a-z_-]+)/(?P<address>\S.*)")
-_HOST_AND_PORT: Final = re.compile(
-    r"(?P<host>\[[0-9A-Za-z:.%]+\]|[^\s\[\]:,\"'/\\?#]+):\d+(?P<more>[?#][^\s,\"'\\]*)?"
-)
-_INTERFACE: Final = re.compile(r"[#;&](?:iface|bind)=(?P<interface>[^;&#]*)")
-_SOCKET: Final = "unixsock-stream"
-_LOCAL: Final = (_SOCKET, "unixpipe")
-"""Protocols that don't leave the host."""
-
-
-def free_port(kind: Kind | None) -> str:
-    """Describe an endpoint on loopback whose port is chosen at the start of the run."""
-    return f"{'tls' if kind == 'certificate' else 'tcp'}/127.0.0.1 (a free port)"
-
-
-def joined_at(kind: Kind | None) -> str:
-    """Describe the default endpoint that cells join."""
-    return f"{_SOCKET} (a private folder)" if kind is None else free_port(kind)
-
-
-def socket_in(folder: str) -> str:
-    """Return the endpoint of a Unix socket in a folder."""
-    return f"{_SOCKET}/{folder}/run"
-
-
-def check_listening(endpoint: str, kind: Kind | None, *, insecure: bool, option: Option = "--listen") -> None:
-    """Check that the plant may listen on an endpoint.
-
-    Args:
-        endpoint: ``PROTOCOL/ADDRESS``.
-        kind: Kind of credentials; None: no credentials.
-        insecure: Accept an endpoint that any peer can reach.
-        option: Option that names the endpoint.
-
-    Raises:
-        InputError: The endpoint is invalid, is not TLS although certificates are used, or lets strangers connect or,
-            with passwords, read the traffic.
-    """
-    match = _ENDPOINT.fullmatch(endpoint)
-    if match is None:
-        raise InputError(f"{option} {endpoint}: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
-    if match["protocol"] not in _LOCAL and _HOST_AND_PORT.fullmatch(match["address"]) is None:
-        raise InputError(
-            f"{option} {endpoint}: must be one endpoint, PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7447"
-        )
-    if kind == "certificate":
-        if match["protocol"] != "tls":
-            raise InputError(
-                f"{option} {endpoint}: with these keys it must be tls/, such as tls/{match['address']}"
-            )
-        return
-    if match["protocol"] == "tls":
-        raise InputError(
-            f"{option} {endpoint}: tls/ needs certificates: --keys DIR, made by mdms keys DIR SCENE"
-        )
-    if not insecure:
-        _check_reach(endpoint, kind, option)
-
-
-def check_opened(
-    endpoint: str, addresses: Sequence[str], kind: Kind | None, *, insecure: bool, option: Option = "--listen"
-) -> None:
-    """Check that the addresses on which a session listens are as private as the requested endpoint.
-
-    Args:
-        endpoint: Requested endpoint.
-        addresses: Addresses on which the session listens.
-        kind: Kind of credentials; None: no credentials.
-        insecure: Accept an endpoint that any peer can reach.
-        option: Option that names the endpoint.
-
-    Raises:
-        InputError: An address is reachable from more than is allowed, or Zenoh names no address.
-    """
-    if insecure or kind == "certificate":
-        return
-    if not addresses:
-        raise InputError(
-            f"{option} {endpoint}: Zenoh doesn't report the address then: use tcp/, or --insecure"
-        )
-    for address in addresses:
-        _check_reach(address, kind, option)
-
-
-def _check_reach(endpoint: str, kind: Kind | None, option: Option) -> None:
-    """Raise InputError if an endpoint is reachable from more than is allowed."""
-    if is_local(endpoint):
-        if option == "--join" and kind is None and not endpoint.startswith(f"{_SOCKET}/"):
-            raise InputError(
-                f"{option} {endpoint}: anybody on this host could drive the run's wheels: use {_SOCKET}/PATH, or "
-                "--keys DIR (mdms keys DIR SCENE makes them), or --insecure"
-            )
-        return
-    if kind == "password":
-        raise InputError(
-            f"{option} {endpoint}: leaves this host, and with passwords messages are not encrypted: use "
-            "certificates (mdms keys without --passwords), or --insecure"
-        )
-    done = "listen to the run and disturb it" if option == "--listen" else "join"
-    raise InputError(
-        f"{option} {endpoint}: leaves this host, and anybody who reaches it could {done}: use --keys DIR "
-        "(mdms keys DIR SCENE makes them), or --insecure"
-    )
-
-
-def is_local(endpoint: str) -> bool:
-    """Whether an endpoint is reachable from this host only, by its protocol or by all addresses of its host's name."""
-    protocol, _, address = endpoint.partition("/")
-    if protocol in _LOCAL:
-        return True
-    interface = _INTERFACE.search(address)
-    return (interface is None or interface["interface"] == "lo") and _is_loopback(host_of(endpoint))
-
-
-def host_of(endpoint: str) -> str:
-    """Return the host of ``PROTOCOL/HOST:PORT``, which may have Zenoh's metadata and configuration appended."""
-    address = endpoint.partition("/")[2]
-    return address.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
-
-
-def loopback_address(endpoint: str) -> str:
-    """Return the endpoint with loopback in place of the wildcard address, for processes of the same host."""
-    for everywhere, loopback in (("/0.0.0.0:", "/127.0.0.1:"), ("/[::]:", "/[::1]:")):
-        endpoint = endpoint.replace(everywhere, loopback, 1)
-    return endpoint
-
-
-def _is_loopback(host: str) -> bool:
-    """Whether a host's name stands for loopback addresses alone."""
-    try:
-        found = socket.getaddrinfo(host, None) if host else []
-        return bool(found) and all(ipaddress.ip_address(one[4][0]).is_loopback for one in found)
-    except (OSError, ValueError):
-        return False
 
 
 Transport = Literal["zenoh", "memory"]
@@ -202,6 +59,10 @@ class RunOptions:
         keys: Folder made by ``mdms keys``, with credentials and rights of each role; None: no credentials.
         insecure: Accept endpoints that any peer can reach.
         checkpoint_s: Period of checkpoints, s of wall time; None: no checkpoints.
+        external: Whether the processes of cells are started by others, and join at ``join`` or at ``router``.
+        router: Endpoint of a router that the plant connects to, instead of listening; None: the plant listens.
+        name: Name of the run on the bus; None: a new one.
+        cluster: Dask cluster whose workers run the processes of cells, with ``external``; None: no cluster.
     """
 
     processes: Processes | None = None
@@ -223,6 +84,10 @@ class RunOptions:
     keys: Path | None = None
     insecure: bool = False
     checkpoint_s: float | None = None
+    external: bool = False
+    router: str | None = None
+    name: str | None = None
+    cluster: str | None = None
 
 
 @final
@@ -233,7 +98,8 @@ class PlannedProcess:
     Attributes:
         name: Name in process lists and messages.
         role: ``plant`` or ``cells``.
-        where: ``this process``, ``a thread of this process`` or ``a process of its own``.
+        where: ``this process``, ``a thread of this process``, ``a separate process``, ``started by others`` or
+            ``a Dask worker``.
         cells: ``(row, column)`` of the cells that run in it.
         listen: Endpoint on which it listens for listeners and operators, or None.
         join: Endpoint on which it listens for processes of cells, or None.
@@ -265,6 +131,7 @@ class Plan:
         wire: Wire format.
         partition: Cells of each shard, one shard a worker (one shard if there are no workers).
         processes: Process of the plant, then the processes of cells.
+        external: Whether the processes of cells are started by others.
     """
 
     run: str
@@ -275,6 +142,7 @@ class Plan:
     wire: WireFormat
     partition: Partition
     processes: tuple[PlannedProcess, ...]
+    external: bool = False
 
     @property
     def cut(self) -> ProcessLayout:
@@ -314,20 +182,20 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
     lattice = scene.lattice()
     setting = _processes(options, lattice)
     workers = len(lattice) if setting == "each" else setting
-    if rule := too_many_workers(workers, len(lattice)):
-        raise InputError(f"--processes {setting}: {rule}")
+    option = "--shards" if options.external and options.cluster is None else "--processes"
+    if not options.external and (rule := too_many_workers(workers, len(lattice))):
+        raise InputError(f"{option} {setting}: {rule}")
     about = _about_keys(options)
     kind = None if about is None else about.kind
-    asked: dict[Option, str | None] = {"--listen": options.listen, "--join": options.join}
-    for option, endpoint in asked.items():
-        if endpoint is not None:
-            check_listening(endpoint, kind, insecure=options.insecure, option=option)
+    for name, endpoint in _asked(options):
+        check_listening(endpoint, kind, insecure=options.insecure, option=name)
     _check(options, scene, workers)
     try:
-        partition = Partition.even(lattice, max(1, workers))
+        partition = Partition.even(lattice, workers if options.external else max(1, workers))
     except PartitionError:
+        least = 1 if options.external else 0
         raise InputError(
-            f"--processes {workers}: must be each or 0..{len(lattice)}, the number of cells"
+            f"{option} {workers}: must be each or {least}..{len(lattice)}, the number of cells"
         ) from None
     return Plan(
         run=run,
@@ -338,9 +206,28 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         wire=options.wire or _wire(options, setting, about),
         partition=partition,
         processes=tuple(
-            _processes_of(partition, workers, setting, _endpoints(options, kind), scene.stall.start_s)
+            _processes_of(
+                partition, _where(options, workers), setting, _endpoints(options, kind), scene.stall.start_s
+            )
         ),
+        external=options.external,
     )
+
+
+def _asked(options: RunOptions) -> list[tuple[Option, str]]:
+    """Return the endpoints to listen on that the options name, with the option that names each."""
+    join: Option = "--listen" if options.external and options.cluster is None else "--join"
+    asked: list[tuple[Option, str | None]] = [("--listen", options.listen), (join, options.join)]
+    return [(option, endpoint) for option, endpoint in asked if endpoint is not None]
+
+
+def _where(options: RunOptions, workers: int) -> str:
+    """Say where processes of cells run."""
+    if options.cluster is not None:
+        return "a Dask worker"
+    if options.external:
+        return "started by others"
+    return "a separate process" if workers else "a thread of this process"
 
 
 def _check(options: RunOptions, scene: Scene, workers: int) -> None:
@@ -358,6 +245,8 @@ def _check(options: RunOptions, scene: Scene, workers: int) -> None:
         raise InputError(
             "--respawn: there are no worker processes to restart: it needs --processes N or each"
         )
+    if options.cluster is not None:
+        _check_cluster(options, workers)
     if options.respawn and scene.effects.clock is not None:
         raise InputError("--respawn: doesn't go with effects.clock: a restarted cell has lost its instants")
     if options.realtime is not None and not 0 < options.realtime < float("inf"):
@@ -368,6 +257,18 @@ def _check(options: RunOptions, scene: Scene, workers: int) -> None:
         raise InputError(f"--checkpoint {options.checkpoint_s:g}: must be greater than 0")
     if options.checkpoint_s is not None and options.replay is not None:
         raise InputError("--checkpoint: a replayed run can't be saved; leave --checkpoint or --replay out")
+
+
+def _check_cluster(options: RunOptions, workers: int) -> None:
+    """Refuse options that don't go with a Dask cluster."""
+    if options.processes is None or not workers:
+        raise InputError(
+            f"--cluster {options.cluster}: needs --processes N, the number of shards: each has a Dask worker of its own"
+        )
+    if options.respawn:
+        raise InputError(
+            "--respawn: doesn't go with --cluster: shards are not started again there; --checkpoint lets the run resume"
+        )
 
 
 def _about_keys(options: RunOptions) -> KeyManifest | None:
@@ -392,12 +293,16 @@ def _wire(options: RunOptions, setting: Processes, about: KeyManifest | None) ->
     if setting != "each":
         return "packed"
     # Whoever is given an address may be any tool, or hardware: these read maps of single cells.
-    return "relayed" if options.listen is None and options.join is None else "per_cell"
+    by_others = options.external and options.cluster is None
+    private = options.listen is None and options.join is None and not by_others
+    return "relayed" if private else "per_cell"
 
 
-def _endpoints(options: RunOptions, kind: Literal["certificate", "password"] | None) -> _Endpoints:
+def _endpoints(options: RunOptions, kind: Kind | None) -> _Endpoints:
     if options.transport == "memory":
         return None, None
+    if options.router is not None:
+        return None, options.router
     return options.listen or free_port(kind), options.join or joined_at(kind)
 
 
@@ -415,7 +320,7 @@ def _processes(options: RunOptions, lattice: Lattice) -> Processes:
 
 
 def _processes_of(
-    partition: Partition, workers: int, setting: Processes, endpoints: _Endpoints, start_s: float
+    partition: Partition, where: str, setting: Processes, endpoints: _Endpoints, start_s: float
 ) -> list[PlannedProcess]:
     listen, join = endpoints
     cells = partition.lattice.cells
@@ -429,7 +334,6 @@ def _processes_of(
         connect=None,
         ready=f"all {len(cells)} cells alive and ready within {start_s:g} s",
     )
-    where = "a separate process" if workers else "a thread of this process"
     processes = [plant]
     for shard in range(partition.count):
         own = tuple(cells[int(i)] for i in partition.cells(shard))

@@ -37,6 +37,7 @@ class Respawner:
         partition: Cells of each shard.
         most: Most restarts in all.
         warn: Called with one line for each restart, and for each restart refused.
+        done: Says in warnings how a process is replaced.
     """
 
     def __init__(
@@ -46,12 +47,14 @@ class Respawner:
         partition: Partition,
         most: int,
         warn: Callable[[str], None],
+        done: str = "is restarted",
     ) -> None:
         self._workers = workers
         self._host = host
         self._partition = partition
         self._most = most
         self._warn = warn
+        self._how = done
         self._done = 0
         self._absent: dict[int, int] = {}
         """A cell's index, by shard that has not rejoined yet."""
@@ -86,5 +89,5 @@ class Respawner:
             return
         self._done += 1
         self._absent[shard] = cell
-        self._warn(f"the process of cell {row},{column} is restarted ({self._done} of {self._most})")
+        self._warn(f"the process of cell {row},{column} {self._how} ({self._done} of {self._most})")
         self._workers.restart(shard)

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
 from bus.errors import BusError
+from bus.wire.keys import plant_key
+from deploy.util.formatting import say
+from deploy.workers.external import ExternalWorkers
 from deploy.workers.groups import WorkerGroup, WorkerProcesses, WorkerThread
-from deploy.workers.plan import Plan, RunOptions, host_of, loopback_address
+from deploy.workers.listening import host_of, loopback_address
+from deploy.workers.plan import Plan, RunOptions
+from deploy.workers.status import RunStatus
 from deploy.workers.worker import (
     ResumePoint,
     WorkerConfig,
@@ -28,10 +34,12 @@ if TYPE_CHECKING:
     from bus.sensors import SensorSchema
     from bus.transports.base import Endpoint
     from bus.transports.zenoh.access_log import AccessLogMonitor
-    from bus.transports.zenoh.requests import RequestQueue
+    from bus.transports.zenoh.requests import RequestQueue, Responder
     from deploy.scenes.scene import Scene
     from deploy.security.keyring import Keyring
     from deploy.workers.access import Access
+    from deploy.workers.cluster import DaskCluster
+    from deploy.workers.presence import Presence
     from plant.array import CellArray
 
 _STOP_S = 5.0
@@ -58,6 +66,7 @@ class System:
 
     Attributes:
         locator: Endpoint for listeners and operators; empty before ``open`` and with the memory transport.
+        status: Status of the run, which operators may ask for; None before ``open`` and with the memory transport.
         refusals: Monitor of denials by the plant's sessions; None before ``open`` and without access control.
         coordinator: Coordinator of the lockstep; None before ``start``.
         unreported: Indices of the cells that were alive at the end and whose counters did not arrive in time.
@@ -82,9 +91,15 @@ class System:
         self._running = False
         self._stopped = False
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
-        self._processes = WorkerProcesses(plan, modules_of(scene)) if plan.workers else None
-        if plan.workers:
+        forked = plan.workers > 0 and not plan.external
+        self._processes = WorkerProcesses(plan, modules_of(scene)) if forked else None
+        if forked:
             compile_program(scene)  # once, and before deadlines: workers load it from disk
+        self._cluster = _connected(plan, options)
+        self._external: ExternalWorkers | None = None
+        self._presence: Presence | None = None
+        self._responder: Responder | None = None
+        self.status: RunStatus | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -94,11 +109,15 @@ class System:
     ) -> None:
         self.stop()
 
-    def open(self) -> None:
+    def open(self, check: Callable[[], None] | None = None) -> None:
         """Open the plant's endpoints.
+
+        Args:
+            check: Called while a router is waited for; may raise to end the wait.
 
         Raises:
             InputError: A port is in use, or an endpoint is invalid or reachable from more than is allowed.
+            DeployError: No router listens in time.
         """
         if self._plan.transport == "memory":
             from bus.transports.memory import MemoryBus
@@ -108,16 +127,58 @@ class System:
             self._cells = WorkerThread(bus.endpoint())
             return
         from deploy.workers.access import Access
+        from deploy.workers.presence import Presence
 
         self._access = Access(self._plan, self._scene.stall, self._options, self._keyring)
-        hub = self._access.open()
+        hub = self._access.open(check)
         self._endpoint, self.refusals, self.locator = hub, hub.refusals, self._access.locator
-        self._cells = self._processes or WorkerThread(
-            open_session(self._access.join, self._keys(), 0, self._scene.stall)
+        presence = self._presence = Presence(hub, self._plan.run, self._plan.partition)
+        if self._plan.external:
+            self._external = ExternalWorkers(self._plan, self._scene, hub, presence, say)
+        self._cells = (
+            self._placed()
+            or self._external
+            or self._processes
+            or WorkerThread(open_session(self._access.join, self._keys(), 0, self._scene.stall))
         )
+        self._serve_status(self._access, presence)
+
+    def _serve_status(self, access: Access, presence: Presence) -> None:
+        """Answer requests for the status of the run."""
+        from bus.transports.zenoh.requests import Responder
+
+        external = self._external
+        self.status = RunStatus(
+            self._plan,
+            self._scene.duration_s,
+            presence,
+            None if external is None else external.holder,
+        )
+        queue = access.questions(plant_key(self._plan.run, "status"))
+        self._responder = Responder({queue: self.status.answer})
+
+    def _placed(self) -> WorkerGroup | None:
+        """Return the group of processes that a Dask cluster runs; None without a cluster."""
+        if self._cluster is None:
+            return None
+        from deploy.workers.cluster_group import ClusterWorkers
+
+        assert self._external is not None, (
+            "this is a bug: processes of a Dask cluster join as those of others"
+        )
+        group = ClusterWorkers(self._cluster, self._plan, self._options.keys, self._external, self.join)
+        self._cluster = None  # the group's from now on
+        return group
+
+    @property
+    def join(self) -> str:
+        """Endpoint to which processes of cells connect; empty before ``open`` and with the memory transport."""
+        return "" if self._access is None else self._access.join
 
     def _keys(self) -> tuple[Path, ...]:
-        return () if self._keyring is None else self._keyring.of_cells(self._plan.cut)
+        if self._keyring is None or self._plan.external:
+            return ()
+        return self._keyring.of_cells(self._plan.cut)
 
     def start(
         self,
@@ -169,7 +230,7 @@ class System:
             byte_accurate_links=live,
             joins_running=False,
             keys=self._keys(),
-            own_process=plan.workers > 0,
+            own_process=self._processes is not None,
             snapshots=keeps,
             messages=messages,
             traced=traced,
@@ -192,6 +253,8 @@ class System:
             host.resume(resumed.tick, resumed.dead, counted, resumed.relayed)
         self._cells.start(order)
         self._barrier(host, self._endpoint, self._cells)
+        if self._external is not None:
+            self._external.begin()
         self._running = True
         return host
 
@@ -246,7 +309,7 @@ class System:
                     break
             cells.check()  # why a worker is not there says more than that it is not
         if failed:
-            raise failed
+            raise failed if self._external is None else self._external.explained(failed)
 
     def explain(self) -> str:
         """Return the tracebacks of the workers that raised, or an empty string."""
@@ -273,14 +336,29 @@ class System:
                 self.unreported = self.coordinator.unreported if self._running else []
         finally:
             try:
+                if self._responder is not None:
+                    self._responder.close()
                 for side in (self._cells, self._processes):
                     if side is not None:
                         side.close(max(deadline - time.monotonic(), _LEAVE_S) if self._running else 0.0)
             finally:
-                for opened in (self._access, self._endpoint):
+                for opened in (self._cluster, self._access, self._endpoint):
                     if opened is not None:
                         opened.close()
         return counts
+
+
+def _connected(plan: Plan, options: RunOptions) -> DaskCluster | None:
+    """Connect to the requested Dask cluster; None where none is requested.
+
+    Raises:
+        InputError: There is no such cluster, or it has fewer workers than the run has shards.
+    """
+    if options.cluster is None:
+        return None
+    from deploy.workers.cluster import connect_for
+
+    return connect_for(options.cluster, plan.workers, insecure=options.insecure)
 
 
 def _keyring(folder: Path, plan: Plan, options: RunOptions) -> Keyring:
@@ -288,5 +366,6 @@ def _keyring(folder: Path, plan: Plan, options: RunOptions) -> Keyring:
 
     keyring = Keyring(folder)
     for endpoint in (options.listen, options.join):
-        keyring.check(plan.cut, None if endpoint is None else host_of(loopback_address(endpoint)))
+        host = None if endpoint is None else host_of(loopback_address(endpoint))
+        keyring.check(plan.cut, host, plant_alone=plan.external)
     return keyring

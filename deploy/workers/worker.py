@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from bus.lockstep.snapshots import MessageBytes
     from bus.sensors import SensorSchema
     from bus.spec import StallSpec
+    from cell_firmware.agent import ShardResult
     from cell_firmware.build import CellFaults
     from cell_firmware.controller import Controller
     from cell_firmware.effects.base import ShardContext
@@ -80,6 +81,7 @@ class WorkerConfig:
         messages: Whether the cells publish their messages as registers.
         traced: Whether the cells record what their programs read and send, as registers.
         resumed: Resume point; None: the cells start at tick 0.
+        killed: Whether a process of its own kills itself at the scheduled crash of all its cells; else it ends well.
     """
 
     scene: Scene
@@ -99,6 +101,7 @@ class WorkerConfig:
     messages: bool = False
     traced: bool = False
     resumed: ResumePoint | None = None
+    killed: bool = True
 
     def __call__(self, shard: int, built: BuiltShard | None = None) -> None:
         """Open a session, run the shard's agents, and close the session.
@@ -140,7 +143,9 @@ class BuiltShard(NamedTuple):
     records: tuple[type, ...]
 
 
-def serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard | None = None) -> None:
+def serve(
+    order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard | None = None
+) -> ShardResult | None:
     """Run the agents of one shard until the stop request or the death of all cells.
 
     Args:
@@ -149,16 +154,21 @@ def serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard
         endpoint: Opened endpoint of the shard.
         built: The shard; None: it is built here.
 
+    Returns:
+        How the shard ended; None if the run stopped before its first tick.
+
     Raises:
         FirmwareError: The firmware can't be loaded or initialised.
         BusError: The plant can't be reached, or has left.
     """
     debugger.install()
     with cell_output.naming_cells():
-        _serve(order, shard, endpoint, built)
+        return _serve(order, shard, endpoint, built)
 
 
-def _serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard | None) -> None:
+def _serve(
+    order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShard | None
+) -> ShardResult | None:
     """Run the agents of one shard; see ``serve``."""
     import asyncio
 
@@ -167,7 +177,7 @@ def _serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShar
     from cell_firmware import agent
     from deploy.workers.overrun import Watchdog
 
-    cells, site, records = _begun(order, shard) if built is None else built
+    cells, site, records = begin_shard(order, shard) if built is None else built
     if order.snapshots:
         save_state(cells, records)  # a program whose memory can't be kept is told of before the run begins
     member = open_participant(order, shard, endpoint, cells)
@@ -177,20 +187,21 @@ def _serve(order: WorkerConfig, shard: int, endpoint: Endpoint, built: BuiltShar
     if order.resumed is not None:
         _recall(order.resumed, shard, cells, records, member)
     member.ready()
-    first = _first(order, member)
+    first, ended = _first(order, member), None
     if first is not None:
         cells.start_at(first)
         inject = agent.injector(cells, site, order.partition.lattice)
         watched = partial(Watchdog, order.scene.stall.deadline_s, "stall.deadline_s")
         with asyncio.Runner(loop_factory=partial(TransportEventLoop, endpoint)) as runner:
             ended = runner.run(agent.run(cells, member, inject, records, first, watched))
-        doomed = order.own_process and _all_dead_by_schedule(order, shard, schedule, first + ended.ticks)
+        doomed = order.own_process and dead_by_schedule(order, shard, schedule, first + ended.ticks)
         # Whoever had no cells left from the beginning stays none the less: the start waits for all.
         absent = order.resumed is not None and shard not in order.resumed.states
         # Whoever kills itself earlier sometimes loses its last messages.
-        if (doomed or absent) and member.confirmed(first + ended.ticks):
+        if (doomed or absent) and member.confirmed(first + ended.ticks) and order.killed:
             os.kill(os.getpid(), signal.SIGKILL)
     member.close()
+    return ended
 
 
 def open_participant(order: WorkerConfig, shard: int, endpoint: Endpoint, cells: Shard) -> Participant:
@@ -214,7 +225,7 @@ def open_participant(order: WorkerConfig, shard: int, endpoint: Endpoint, cells:
     )
 
 
-def _begun(order: WorkerConfig, shard: int) -> BuiltShard:
+def begin_shard(order: WorkerConfig, shard: int) -> BuiltShard:
     """Build a shard, with a deadline for the programs' ``init``.
 
     Raises:
@@ -390,7 +401,7 @@ def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
     return BuiltShard(shard, site, records_of(firmware))
 
 
-def _all_dead_by_schedule(order: WorkerConfig, shard: int, schedule: Deaths, ticks: int) -> bool:
+def dead_by_schedule(order: WorkerConfig, shard: int, schedule: Deaths, ticks: int) -> bool:
     """Whether every cell of the shard is dead by the schedule after so many ticks."""
     dead = {cell for tick, cells in schedule.items() if tick <= ticks for cell in cells}
     return dead.issuperset(order.partition.cells(shard).tolist())

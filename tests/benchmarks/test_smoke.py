@@ -29,6 +29,9 @@ N = r"-?[\d.,]+(?:e[-+]\d+)?"
 SCRIPTS: dict[str, Smoke] = {
     "bus/detection.py": Smoke("--killed 2 --stopped 1 --lease 0.5", rf"\| stopped .* \| 1 \| {N} \| {N} \|"),
     "bus/fuzz_decoders.py": Smoke("--frames 100 --files 10", rf"\| recording, messages \| 5 \| {N} .* 0 \|"),
+    "bus/hosts.py": Smoke(
+        "--side 4 --duration 0.2 --turns 1", rf"(three: {N} ticks/s; ratio {N}|not measured: .+)"
+    ),
     "bus/keys_cost.py": Smoke(
         "--ticks 100 --turns 1 --processes 2", rf"passwords +{N} ticks/s, {N} of plain"
     ),
@@ -55,6 +58,9 @@ SCRIPTS: dict[str, Smoke] = {
     "cells/wheel_drive.py": Smoke("", rf"ripple, 256 levels: {N} m/s"),
     "deploy/campaign_cost.py": Smoke(
         "--runs 2 --turns 1 --duration 0.05", rf"1 job {N}, 2 jobs {N}: {N} times"
+    ),
+    "deploy/cluster_campaign.py": Smoke(
+        "--runs 4 --turn 4 --duration 0.05", rf"of ideal: {N} by wall time, {N} by processor time"
     ),
     "deploy/campaign_intervals.py": Smoke("--samples 20", rf"exponential +50 +{N}% +{N}%"),
     "deploy/checkpoint_cost.py": Smoke(
@@ -121,7 +127,11 @@ SCRIPTS: dict[str, Smoke] = {
     "protocols/vehicle_over_bad_links.py": Smoke("--seeds 1", rf" {N} of {N}\s*$"),
 }
 
-NEEDS = {"plant/contact_queues.py": "mujoco", "plant/mujoco_parcel.py": "mujoco"}
+NEEDS = {
+    "deploy/cluster_campaign.py": "distributed",
+    "plant/contact_queues.py": "mujoco",
+    "plant/mujoco_parcel.py": "mujoco",
+}
 """Packages that come with an extra."""
 
 

@@ -167,7 +167,7 @@ def test_agents_on_the_bus_give_the_same_bytes_as_one_shard_without_one(
     drives = running.run(20)
     assert drives.tobytes() == run(HEAT, Partition.even(lattice, 1), 20).drives.tobytes()
     running.stop()
-    assert running.ended == [agent.ShardResult(20, "enough", ())] * shards
+    assert running.ended == [agent.ShardResult(20, "enough", (), stopped=True)] * shards
     assert running.losses == []
 
 
@@ -368,5 +368,5 @@ def test_a_fault_that_can_not_be_read_is_counted_and_the_cells_go_on(
     running.host.control(Control("fault", 0, (), "nonsense"))
     assert running.run(5).tobytes() == run(HEAT, partition, 5).drives.tobytes()
     running.stop()
-    assert running.ended == [agent.ShardResult(5, "enough", ())] * 3
+    assert running.ended == [agent.ShardResult(5, "enough", (), stopped=True)] * 3
     assert running.malformed == {"control: fault": 3}

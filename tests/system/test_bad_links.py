@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,7 @@ from deploy.recordings.reader import load
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
 from deploy.workers.plan import RunOptions
+from tests.system.joining import command, plant_command
 from tests.system.relay import CELLS, PLANT, Relay
 
 Small = Callable[..., Path]
@@ -23,11 +23,10 @@ PATIENT = "[stall]\nlease_s = 10.0\ndeadline_s = 20.0\n"
 
 def _run_apart(scene: Path, folder: Path, relay: Relay, *, cut_s: float) -> tuple[dict[str, Any], float]:
     """Run a scene over the relay, with one cut in the middle; returns its summary and its wall time."""
-    half = ("-m", "tests.system.elsewhere")
     endpoint = f"tcp/{PLANT}:7447"
     with relay:
-        plant = relay.start(PLANT, CELLS, [sys.executable, *half, "plant", str(folder), str(scene), endpoint])
-        relay.start(CELLS, PLANT, [sys.executable, *half, "cells", str(folder)])
+        plant = relay.start(PLANT, CELLS, plant_command(scene, endpoint, "each", folder / "out"))
+        relay.start(CELLS, PLANT, command(scene, endpoint, "each", "small"))
         relay.go()
         recording = folder / "out" / "recording.mcap"
         begun = time.monotonic()

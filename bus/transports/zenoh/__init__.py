@@ -8,7 +8,7 @@ off.
 
 from __future__ import annotations
 
-from bus.transports.zenoh.endpoint import ZenohEndpoint, open_client, open_hub, open_outside
+from bus.transports.zenoh.endpoint import ZenohEndpoint, open_client, open_hub, open_outside, open_router
 from bus.transports.zenoh.mirror import Mirror
 from bus.transports.zenoh.session import (
     AccessPolicy,
@@ -31,4 +31,5 @@ __all__ = [
     "open_client",
     "open_hub",
     "open_outside",
+    "open_router",
 ]

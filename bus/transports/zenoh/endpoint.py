@@ -10,7 +10,7 @@ import os
 import socket
 import threading
 import weakref
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
 import zenoh
@@ -29,6 +29,7 @@ from bus.transports.zenoh.session import (
     first_line,
     hub_config,
     mirror_config,
+    router_config,
 )
 
 if TYPE_CHECKING:
@@ -275,6 +276,31 @@ def open_hub(
     return ZenohEndpoint(session, locator, refusals, listening)
 
 
+def open_router(listen: Sequence[str], gate: AccessPolicy | None = None) -> ZenohEndpoint:
+    """Open a router, for a plant and processes of cells that connect to it.
+
+    Args:
+        listen: Endpoints to listen on.
+        gate: Access policy; None: all sessions are admitted.
+
+    Raises:
+        TransportError: As of ``open_hub``.
+    """
+    refusals = None
+    if gate is not None:
+        from bus.transports.zenoh.access_log import AccessLogMonitor
+
+        refusals = AccessLogMonitor()
+    try:
+        session = _open(router_config(listen, gate), f"listen on {', '.join(listen)}")
+    except BaseException:
+        if refusals is not None:
+            refusals.close()
+        raise
+    addresses = _addresses(session, "router")
+    return ZenohEndpoint(session, _with_port(listen[0], addresses), refusals, addresses)
+
+
 def open_outside(listen: str | None, *, lease_s: float = LEASE_S, gate: AccessPolicy) -> ZenohEndpoint:
     """Open the session of a run's mirror, which listeners and operators connect to.
 
@@ -315,10 +341,10 @@ def _listening(
     raise AssertionError("unreachable: this is a bug")
 
 
-def _addresses(session: zenoh.Session) -> tuple[str, ...]:
+def _addresses(session: zenoh.Session, mode: str = "peer") -> tuple[str, ...]:
     """Return the addresses that a session listens on, from Zenoh's admin space."""
     own = cast("Any", session)
-    for reply in own.get(f"@/{own.zid()}/peer"):
+    for reply in own.get(f"@/{own.zid()}/{mode}"):
         if reply.ok is not None:
             return tuple(json.loads(reply.ok.payload.to_string())["locators"])
     return ()
@@ -334,15 +360,27 @@ def _with_port(listen: str, addresses: tuple[str, ...]) -> str:
 
 
 def open_client(
-    connect: str, *, lease_s: float = LEASE_S, timeout_s: float = 10.0, identity: Identity | None = None
+    connect: str,
+    *,
+    lease_s: float = LEASE_S,
+    timeout_s: float = 10.0,
+    identity: Identity | None = None,
+    one_thread: bool = True,
 ) -> ZenohEndpoint:
     """Open the session of a cell process or an observer; call it after a fork, never before.
+
+    Args:
+        connect: Endpoint of a session that listens.
+        lease_s: See ``client_config``.
+        timeout_s: Time to retry while there is no listener, s.
+        identity: Identity to present; None: none.
+        one_thread: Whether one of Zenoh's threads is enough, as where a few payloads are exchanged in a tick.
 
     Raises:
         TransportError: No session listens there within ``timeout_s``, or it refuses this identity.
     """
     config = client_config(connect, lease_s, timeout_s, identity)
-    with _one_thread():
+    with _one_thread() if one_thread else contextlib.nullcontext():
         return ZenohEndpoint(_open(config, f"connect to {connect}"), connect)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, cast, final
 
@@ -122,6 +123,20 @@ def hub_config(listen: str, lease_s: float = LEASE_S, gate: AccessPolicy | None 
     _set(config, "transport/link/rx/max_message_size", str(min(LARGEST, _AT_PLANT)))
     for key, value in ({} if gate is None else gate.settings()).items():
         _set(config, key, value)
+    return config
+
+
+def router_config(listen: Sequence[str], gate: AccessPolicy | None) -> zenoh.Config:
+    """Return the settings of a router, which passes everything on between its clients.
+
+    Args:
+        listen: Endpoints such as ``tcp/127.0.0.1:7447``.
+        gate: Access policy; None: all sessions are admitted.
+    """
+    config = hub_config(listen[0], LEASE_S, gate)
+    _set(config, "mode", '"router"')
+    _set(config, "listen/endpoints", json.dumps(list(listen)))
+    _set(config, "transport/link/rx/max_message_size", str(LARGEST))
     return config
 
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
+from tests.system.joining import command, plant_command
 from tests.system.relay import CELLS, PLANT, Relay
 from tests.system.small import small_scene
 
@@ -43,14 +44,13 @@ def measure(delay_s: float, drive_ticks: int, link_ticks: int, ticks: int) -> Ro
     bus = f"\n[bus]\nsense_to_drive_ticks = {drive_ticks}\nlink_ticks = {link_ticks}\n"
     stall = "\n[stall]\nlease_s = 10.0\ndeadline_s = 20.0\n"
     duration_s = round(ticks * 0.004096, 9)
-    half = ("-m", "tests.system.elsewhere")
     with tempfile.TemporaryDirectory() as name, Relay(delay_s=delay_s, loss=0.0, seed=1) as relay:
         scene = Path(name) / "scene.toml"
         text = small_scene(columns=16, duration_s=duration_s).replace("rows = 3", "rows = 16")
         scene.write_text(text + bus + stall)
         endpoint = f"tcp/{PLANT}:7447"
-        plant = relay.start(PLANT, CELLS, [sys.executable, *half, "plant", name, str(scene), endpoint, "2"])
-        relay.start(CELLS, PLANT, [sys.executable, *half, "cells", name])
+        plant = relay.start(PLANT, CELLS, plant_command(scene, endpoint, 2, Path(name) / "out"))
+        relay.start(CELLS, PLANT, command(scene, endpoint, 2, "scene"))
         relay.go()
         summary = json.loads(_output(plant))
     return Row(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any, cast
 
 import numpy as np
@@ -15,6 +16,7 @@ from bus.lockstep.intervals import Membership
 from bus.lockstep.liveness import LivenessTracker, RejoinTracker
 from bus.lockstep.receive import EARLY_TICKS, FrameAssembler
 from bus.partition import Partition
+from bus.spec import StallSpec
 from bus.wire.formats import WireFormat
 from tests.bus.support import (
     MESSAGE,
@@ -54,6 +56,55 @@ def _admitted(system: System, tick: int, shards: list[int]) -> tuple[int, list[i
             return now, cells
         assert step(system, now, shards)[1] == []
     raise AssertionError("nobody was admitted")
+
+
+def test_cells_come_back_to_a_run_that_has_lost_all_of_its_cells(network: Network) -> None:
+    system = System(network, Partition.even(grid(1, 2), 1), "packed").start()
+    step(system, 0)
+    system.member_endpoints[0].close()
+    assert {loss.cell for loss in step(system, 1, [])[1]} == {0, 1}
+    assert system.host.admit(2) == []
+    member = _restarted(system, 0)
+    member.ready(10.0)
+    first, cells = _admitted(system, 2, [])
+    assert cells == [0, 1]
+    assert member.join(10.0) == first
+    assert step(system, first)[1] == []
+
+
+def test_a_new_process_keeps_senses_that_come_with_its_admission_although_it_was_told_of_its_loss(
+    network: Network,
+) -> None:
+    system = System(network, Partition.even(grid(1, 2), 2), "packed").start()
+    step(system, 0)
+    for shard in (0, 1):
+        system.member_endpoints[shard].close()
+    assert {loss.cell for loss in step(system, 1, [])[1]} == {0, 1}
+    assert system.host.admit(2) == []
+    first, second = _restarted(system, 0), _restarted(system, 1)
+    first.ready(10.0)  # the second has subscribed, and hears at the first's admission who is dead
+    now, cells = _admitted(system, 2, [])
+    assert (cells, first.join(10.0)) == ([0], now)
+    assert step(system, now, [0])[1] == []
+    second.ready(10.0)
+    admitted, cells = _admitted(system, now + 1, [0])
+    system.host.publish(system.sense(admitted))
+    time.sleep(0.1)  # the senses are there with the record of the admission
+    assert (cells, second.join(10.0)) == ([1], admitted)
+    gathered(second.gather(admitted, 10.0))
+
+
+def test_a_process_that_was_too_slow_must_go_before_another_takes_its_place(network: Network) -> None:
+    system = System(network, Partition.even(grid(1, 2), 2), "packed", stall=StallSpec(deadline_s=0.2)).start()
+    step(system, 0)
+    system.member_endpoints[1].close()
+    assert [loss.reason for loss in step(system, 1, [0])[1]] == ["disconnected"]
+    _restarted(system, 1).ready(10.0)
+    first, _ = _admitted(system, 2, [0])
+    assert [loss.reason for loss in step(system, first, [0])[1]] == ["timed_out"]
+    for tick in range(first + 1, first + 50):
+        assert system.host.admit(tick) == []
+        step(system, tick, [0])
 
 
 @every_format

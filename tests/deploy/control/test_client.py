@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bus.errors import TransportError
-from deploy.control.client import FILE_NAME, Address, ask_run, discover
+from deploy.control.client import FILE_NAME, Address, ask_run, ask_status, discover
 from deploy.errors import DeployError, InputError, RequestError
 
 HERE = Address("one", "tcp/127.0.0.1:7447", os.getpid())
@@ -64,8 +64,10 @@ class Plant:
 
     def __init__(self, answer: bytes | Exception, monkeypatch: pytest.MonkeyPatch) -> None:
         self.answer, self.left, self.sent = answer, False, list[Any]()
+        self.tokens = {"mdms/one/plant/alive"}
         monkeypatch.setattr("deploy.control.client.operator_session", self._session)
         monkeypatch.setattr("bus.transports.zenoh.requests.send_request", self._ask)
+        monkeypatch.setattr("bus.transports.zenoh.requests.tokens_at", lambda *_: self.tokens)
 
     def _session(self, *_: object) -> Any:
         return SimpleNamespace(close=lambda: setattr(self, "left", True))
@@ -115,3 +117,20 @@ def test_what_is_no_answer_of_a_run_is_said_and_left(
         ask_run("tcp/x:1", {"op": "list"}, 3.0)
     assert not isinstance(failed.value, RequestError)
     assert plant.left
+
+
+def test_a_request_goes_to_the_only_run_there_or_to_the_one_that_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plant = Plant(b'{"ok": true, "run": "one"}', monkeypatch)
+    ask_run("tcp/x:1", {"op": "list"}, 3.0)
+    plant.tokens = {"mdms/one/plant/alive", "mdms/two/plant/alive"}
+    with pytest.raises(InputError, match="several runs, name one of them \\(--run\\): one, two"):
+        ask_run("tcp/x:1", {"op": "stop"}, 3.0)
+    ask_run("tcp/x:1", {"op": "stop"}, 3.0, run="two")
+    ask_status("tcp/x:1", "one", 3.0)
+    assert [key for key, _, _ in plant.sent] == [
+        "mdms/one/plant/operator",
+        "mdms/two/plant/operator",
+        "mdms/one/plant/status",
+    ]

@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[3]
 LATTICE = Lattice((r, c) for r in range(2) for c in range(2))
 CUT = ProcessLayout(Partition.even(LATTICE, 2), "packed", ("cells 0", "cells 1"))
 ROLES = ["plant", "cells-0", "cells-1", "operator"]
+FOLDERS = [*ROLES, "router"]
 
 
 def made(folder: Path, kind: Kind = "certificate", *, days: int = 1, force: bool = False) -> Path:
@@ -35,28 +36,29 @@ def test_only_their_owner_can_read_keys(tmp_path: Path, kind: Kind) -> None:
     folder = made(tmp_path / "keys", kind)
     for path in (folder, *folder.rglob("*")):
         assert path.stat().st_mode & 0o777 == (0o700 if path.is_dir() else 0o600), path
-    assert sorted(path.name for path in folder.iterdir() if path.is_dir()) == sorted(ROLES)
+    assert sorted(path.name for path in folder.iterdir() if path.is_dir()) == sorted(FOLDERS)
 
 
 def test_a_role_s_folder_has_its_own_keys_and_nobody_signs_any_more(tmp_path: Path) -> None:
     folder = made(tmp_path / "keys")
-    for role in ROLES:
+    for role in FOLDERS:
         files = {path.name for path in (folder / role).iterdir()}
         assert files == {"authority.pem", "certificate.pem", "key.pem"}
         check_certificate(identity_of(folder / role, role), role)
     secret = {
         path.read_text() for path in folder.rglob("*") if path.is_file() and "PRIVATE" in path.read_text()
     }
-    assert len(secret) == len(ROLES)
+    assert len(secret) == len(FOLDERS)
     assert not list(tmp_path.glob(".*"))
 
 
 def test_a_password_is_its_user_s_and_the_plant_s_alone(tmp_path: Path) -> None:
     folder = made(tmp_path / "keys", "password")
     users = dict(line.split(":") for line in (folder / "plant" / "users").read_text().splitlines())
-    assert list(users) == ROLES
-    assert len(set(users.values())) == len(ROLES)
-    for role in ROLES:
+    assert (folder / "router" / "users").read_text() == (folder / "plant" / "users").read_text()
+    assert list(users) == FOLDERS
+    assert len(set(users.values())) == len(FOLDERS)
+    for role in FOLDERS:
         identity = identity_of(folder / role, role)
         assert identity.kind == "password"
         assert (identity.user, identity.password) == (role, users[role])

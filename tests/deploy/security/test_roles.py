@@ -58,9 +58,9 @@ def test_no_process_may_put_what_is_another_s_or_the_plant_s(form: WireFormat, s
     wiring = RunSchema("some-run", made.partition, SensorSchema(1), MESSAGE)
     of_plant = {*FORMATS[form].coordinator(wiring).sense_keys, plant_key("some-run", "control")}
     of_plant |= {plant_key("some-run", "view"), plant_key("some-run", "alive")}
-    for role in roles:
+    for shard, role in enumerate(roles):
+        assert role.asks == (shard_key("*", shard, "join"),)
         assert not any(intersects(key, one) for key in of_plant for one in (*role.puts, *role.shows))
-        assert not role.asks
     for one, other in combinations(roles, 2):
         assert set(one.puts).isdisjoint(other.puts)
         assert set(one.shows).isdisjoint(other.shows)
@@ -70,7 +70,7 @@ def test_no_process_may_put_what_is_another_s_or_the_plant_s(form: WireFormat, s
 def test_an_operator_sends_requests_and_reads_and_puts_nothing() -> None:
     operator = roles_of(cut("packed", 2))[-1]
     assert (operator.puts, operator.shows) == ((), ())
-    assert operator.asks == ("mdms/*/plant/operator", "mdms/*/plant/view")
+    assert operator.asks == ("mdms/*/plant/operator", "mdms/*/plant/view", "mdms/*/plant/status")
 
 
 @pytest.mark.parametrize(("kind", "field"), [("certificate", "cert_common_names"), ("password", "usernames")])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deploy.errors import InputError
-from deploy.workers.plan import Kind, check_listening, check_opened, host_of, loopback_address, socket_in
+from deploy.workers.listening import Kind, check_listening, check_opened, host_of, loopback_address, socket_in
 
 HERE = (
     "tcp/127.0.0.1:7447",
@@ -68,7 +68,7 @@ def test_whatever_is_not_one_endpoint_is_refused_even_with_insecure(listen: str,
 def test_a_name_is_as_local_as_all_of_its_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
     addresses = {"both": ["127.0.0.1", "10.0.0.5"], "here": ["127.0.0.1", "::1"]}
     monkeypatch.setattr(
-        "deploy.workers.plan.socket.getaddrinfo",
+        "deploy.workers.listening.socket.getaddrinfo",
         lambda host, _: [(0, 0, 0, "", (address, 0)) for address in addresses[host]],
     )
     check_listening("tcp/here:1", None, insecure=False)

@@ -14,7 +14,8 @@ from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
 from deploy.security.generate import generate_keys
 from deploy.security.roles import roles_of
-from deploy.workers.plan import Plan, RunOptions, free_port, joined_at, plan
+from deploy.workers.listening import free_port, joined_at
+from deploy.workers.plan import Plan, RunOptions, plan
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,139 @@
+"""A run whose plant, cells and router are commands of their own, as people and orchestrators start them."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from deploy.cli import main
+from deploy.runs.run import run
+from deploy.scenes.files import load_scene
+from deploy.workers.plan import RunOptions
+from tests.system.running import Mdms, summary_of
+from tests.system.test_keys import free_port, keys_for
+
+Start = Callable[..., Mdms]
+Small = Callable[..., Path]
+OPEN = ("tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/127.0.0.1:7447#iface=eth0", "udp/0.0.0.0:7447")
+
+
+@pytest.mark.parametrize("endpoint", OPEN)
+@pytest.mark.parametrize("command", [("plant", "heat", "--shards", "2"), ("router",)])
+def test_nothing_listens_beyond_this_host_without_keys(
+    command: tuple[str, ...], endpoint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command, "--listen", endpoint]) == 2
+    assert "leaves this host" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("cells", "heat"), "name the cells by --shard I/N"),
+        (("cells", "heat", "--shard", "0/2", "--cell", "1,1"), "name the cells by --shard I/N"),
+        (("cells", "heat", "--shard", "2/2"), "I from 0 to N - 1"),
+        (("cells", "heat", "--cell", "77,0"), "must be row and column of a cell of the scene"),
+        (("cells", "heat", "--shard", "0/201"), "the scene has 200 cells"),
+        (("cells", "heat", "--shard", "0/2", "--run", "a/b"), "--run: run name 'a/b'"),
+        (("cells", "heat", "--shard", "0/2", "--connect", "here"), "must be PROTOCOL/ADDRESS"),
+        (("cells", "heat", "--shard", "0/2", "--connect", "tls/h:1"), "tls/ goes with certificates"),
+        (("cells", "heat", "--shard", "0/2", "--keys", "none"), "there is no such file"),
+        (("plant", "heat", "--shards", "0"), "--shards 0: must be each, or a number of processes from 1"),
+        (("plant", "heat", "--shards", "201"), "--shards 201: must be each or 1..200"),
+        (("plant", "heat", "--listen", "tcp/a:1", "--connect", "tcp/b:1"), "give one of the two"),
+        (("plant",), "mdms plant: name a SCENE"),
+        (("router", "--listen", "here"), "must be PROTOCOL/ADDRESS"),
+    ],
+)
+def test_bad_input_is_named_before_anything_starts(
+    arguments: tuple[str, ...],
+    problem: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert problem in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_probe_of_nobody_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    assert main(["status", "--connect", endpoint, "--timeout", "0.2"]) == 1
+    assert "no answer" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_cells_join_in_any_order_and_whoever_differs_is_named_until_an_operator_stops_it_all(
+    mdms: Start, small: Small, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, endpoint = small(), f"tcp/127.0.0.1:{free_port()}"
+    at = ("--connect", endpoint)
+    first = mdms("cells", scene, "--shard", "0/2", *at)
+    other = mdms("cells", scene, "--shard", "1/2", *at, "--seed", 5)
+    options = ("--shards", 2, "--listen", endpoint, "--realtime", 0.02, "--no-picture", "--json")
+    plant = mdms("plant", scene, *options, "--output", tmp_path / "out")
+    status, _, stderr = other.end()
+    assert status == 2
+    assert stderr.splitlines()[-1].endswith("differs from the plant: seed 5, not 0")
+    status, stdout, _ = mdms("status", *at, "--json").end()
+    waiting = json.loads(stdout)
+    assert (status, waiting["state"], [one["shard"] for one in waiting["missing_shards"]]) == (
+        1,
+        "waiting",
+        [1],
+    )
+    second = mdms("cells", scene, "--shard", "1/2", *at)
+    asked = ["status", "--run", str(tmp_path / "out"), "--json"]
+    plant.wait_for(lambda: main(asked) == 0, "the plant and all cells are there")
+    running = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (running["missing"], running["here"]) == (0, 2)
+    assert mdms("control", "stop", *at).end()[0] == 0
+    status, stdout, stderr = plant.end()
+    assert (status, summary_of(stdout)["status"]) == (130, "interrupted")
+    assert "differs from the plant: seed 5, not 0" in stderr
+    for cells in (first, second):
+        status, _, stderr = cells.end()
+        assert (status, stderr.splitlines()[-1].partition("ended after ")[0]) == (
+            0,
+            f"mdms: shard {0 if cells is first else 1} of 2: ",
+        )
+
+
+@pytest.mark.slow
+def test_keys_admit_each_role_at_a_plant_and_at_a_router_and_ctrl_c_ends_a_process_at_any_time(
+    mdms: Start, small: Small, tmp_path: Path
+) -> None:
+    scene = small()
+    keys = keys_for(scene, tmp_path / "keys")
+    expected = run(
+        load_scene(str(scene)), RunOptions(0, "memory", output=tmp_path / "near", picture=False), quiet=True
+    ).summary
+    for name in ("plant", "router"):
+        endpoint = f"tls/127.0.0.1:{free_port()}"
+        router = None if name == "plant" else mdms("router", "--listen", endpoint, "--keys", keys)
+        way = ("--listen" if router is None else "--connect", endpoint)
+        options = ("--shards", 2, "--keys", keys, "--no-picture", "--json", "--output", tmp_path / name)
+        plant = mdms("plant", scene, *options, *way)
+        impatient = mdms(
+            "cells", scene, "--shard", "1/2", "--connect", endpoint, "--keys", keys, "--run", "no"
+        )
+        cells = [
+            mdms("cells", scene, "--shard", f"{i}/2", "--connect", endpoint, "--keys", keys / f"cells-{i}")
+            for i in (0, 1)
+        ]
+        status, stdout, stderr = plant.end(40.0)
+        assert status == 0, stderr
+        assert summary_of(stdout)["digest"] == expected.digest
+        assert [one.end()[0] for one in cells] == [0, 0]
+        for process in (impatient, *([] if router is None else [router])):
+            process.process.send_signal(signal.SIGINT)
+        assert impatient.end()[0] == 130
+        if router is not None:
+            status, _, stderr = router.end()
+            assert (status, "denied" in stderr) == (0, False)
