@@ -65,6 +65,20 @@ def test_after_a_death_the_others_agree_on_a_number_in_the_range_of_values() -> 
     assert -3.0 < estimate[0] < 9.0
 
 
+def test_messages_that_are_late_out_of_order_doubled_and_lost_leave_the_mean_as_it_is() -> None:
+    ends = {"at_tick": 1, "until_tick": 40, "share": 1.0}
+    faults = [
+        {"kind": "link_delay", "between_ticks": [0, 5], "ordered": False, **ends},
+        {"kind": "link_duplicate", "probability": 0.4, **ends},
+        {"kind": "link_loss", "probability": 0.2, **ends},
+    ]
+    lab = Lab("push_sum", (2, 3), parameters=VALUES, faults=faults)  # its ledger and range hold in every tick
+    lab.step(40)
+    assert abs(lab.registers["estimate"] - 1.0).max() > 1e-3
+    lab.step(60)
+    np.testing.assert_allclose(lab.registers["estimate"], 1.0, atol=1e-6)
+
+
 def test_running_sums_wrap() -> None:
     names = ("pushed_mass", "pushed_weight", "seen_mass", "seen_weight")
     near = {name: [MODULUS - 2] * 4 for name in names}
