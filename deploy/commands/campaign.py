@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -24,6 +25,7 @@ from deploy.util.formatting import say, silent
 if TYPE_CHECKING:
     from deploy.studies.campaign.report import CampaignReport
     from deploy.studies.campaign.spec import CampaignSpec
+    from deploy.workers.cluster import DaskCluster
 
 _VARIED, _JUDGED = "Variation", "Criterion"
 _VALUES = "FROM:TO:STEP"
@@ -127,6 +129,24 @@ JobsOption = Annotated[
         help="Number of simultaneous runs. Default: one per processor.",
     ),
 ]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        rich_help_panel=EXECUTION_PANEL,
+        metavar="ADDRESS|local",
+        help="Execute the runs on the Dask cluster with this scheduler, such as tls://10.0.0.5:8786, or its scheduler "
+        "file; local: on one started here for this campaign, with --jobs workers.",
+    ),
+]
+InsecureOption = Annotated[
+    bool,
+    typer.Option(
+        "--insecure",
+        rich_help_panel=EXECUTION_PANEL,
+        help="With --cluster: accept a scheduler on another host without TLS.",
+    ),
+]
 OutputOption = Annotated[
     Path | None,
     typer.Option(
@@ -186,6 +206,8 @@ def campaign(
     limit: LimitOption = None,
     check: CheckOption = False,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
+    insecure: InsecureOption = False,
     output: OutputOption = None,
     resume: ResumeOption = None,
     other_versions: OtherVersionsOption = False,
@@ -215,6 +237,10 @@ def campaign(
     Resume an interrupted campaign:
 
       [cyan]mdms campaign --resume runs/align-campaign-20260301-120000[/cyan]
+
+    On the workers of a Dask cluster:
+
+      [cyan]mdms campaign align --fault crash --share 0:0.3:0.05 --cluster tls://10.0.0.5:8786[/cyan]
     """
     given: dict[str, Any] = {
         "scene": scene,
@@ -242,8 +268,40 @@ def campaign(
         spec, text = _resumed(given, resume, other_versions=other_versions)
         folder = resume
     with ExitStack() as locked:
-        report = _run(spec, text, folder, jobs, locked, resumed=resume is not None, quiet=quiet)
+        execution = _Execution(jobs, cluster, insecure=insecure, quiet=quiet)
+        report = _run(spec, text, folder, execution, locked, resumed=resume is not None)
         _finish(report, picture=picture, as_json=as_json)
+
+
+class _Execution(NamedTuple):
+    """Execution of a campaign, without effect on results.
+
+    Attributes:
+        jobs: Simultaneous runs on this machine; None: one per processor.
+        cluster: Dask cluster of the runs; None: processes of this machine.
+        insecure: Accept a scheduler on another host without TLS.
+        quiet: Show no progress and no warnings.
+    """
+
+    jobs: int | None
+    cluster: str | None
+    insecure: bool
+    quiet: bool
+
+    def check(self) -> None:
+        """Refuse options that don't go together.
+
+        Raises:
+            InputError: Names them.
+        """
+        from deploy.workers.cluster import LOCAL
+
+        if self.cluster not in (None, LOCAL) and self.jobs is not None:
+            raise InputError(
+                f"--jobs {self.jobs}: the workers of --cluster {self.cluster} decide how many runs go on at a time"
+            )
+        if self.insecure and self.cluster is None:
+            raise InputError("--insecure: is for --cluster ADDRESS")
 
 
 def _texts(options: list[str] | None) -> tuple[str, ...] | None:
@@ -286,11 +344,10 @@ def _run(
     spec: CampaignSpec,
     text: str,
     folder: Path | None,
-    jobs: int | None,
+    execution: _Execution,
     locked: ExitStack,
     *,
     resumed: bool,
-    quiet: bool,
 ) -> CampaignReport:
     """Carry out a campaign; its folder is locked until ``locked`` closes."""
     import time
@@ -304,6 +361,8 @@ def _run(
     from deploy.util.signals import Interruption
     from plant.solvers.thread_pool import processors
 
+    execution.check()
+    quiet, jobs = execution.quiet, execution.jobs or processors()
     interruption = Interruption()
     with interruption.handling(last=True):
         notify = silent if quiet else say
@@ -314,6 +373,7 @@ def _run(
                     check_conditions(case.scene)
             for line in dict.fromkeys(line for case in cases.cases for line in warnings_of(case.scene)):
                 notify(f"warning: {line}")
+            cluster = _connect(execution, jobs, locked, notify)
         if folder is None:
             folder = new_folder(run_name(cases.scene, f"campaign-{time.strftime('%Y%m%d-%H%M%S')}"))
         if resumed:
@@ -322,7 +382,20 @@ def _run(
             locked.enter_context(locked_folder(folder, notify))
             _check_new(folder)  # another may have begun one since
             write(spec, text, versions(), folder)
-        return Campaign(spec, cases, folder, quiet=quiet).run(jobs or processors(), interruption)
+        return Campaign(spec, cases, folder, quiet=quiet).run(jobs, interruption, cluster)
+
+
+def _connect(
+    execution: _Execution, jobs: int, held: ExitStack, notify: Callable[[str], None]
+) -> DaskCluster | None:
+    """Connect to the requested cluster, until ``held`` closes; None where none is requested."""
+    if execution.cluster is None:
+        return None
+    from deploy.workers.cluster import DaskCluster, describe
+
+    cluster = held.enter_context(DaskCluster(execution.cluster, jobs, insecure=execution.insecure))
+    notify(describe(cluster))
+    return cluster
 
 
 def _finish(report: CampaignReport, *, picture: bool, as_json: bool) -> None:

@@ -98,6 +98,16 @@ RealtimeOption = Annotated[
         help="Keep pace with the wall clock, or FACTOR times as fast. Default: as fast as possible.",
     ),
 ]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        rich_help_panel=EXECUTION_PANEL,
+        metavar="ADDRESS",
+        help="Run each of --processes N on its own worker of the Dask cluster with this scheduler, such as "
+        "tls://10.0.0.5:8786, or its scheduler file. Workers on other hosts need --join and --keys.",
+    ),
+]
 MessagesOption = Annotated[
     int | None,
     typer.Option(
@@ -214,6 +224,7 @@ def run(
     join: JoinOption = None,
     keys: KeysOption = None,
     insecure: InsecureOption = False,
+    cluster: ClusterOption = None,
     realtime: RealtimeOption = None,
     paused: PausedOption = False,
     registers: RegistersOption = None,
@@ -255,6 +266,8 @@ def run(
         join=join,
         keys=keys,
         insecure=insecure,
+        external=cluster is not None,
+        cluster=cluster,
         realtime=realtime,
         paused=paused,
         output=scene_options.output,

@@ -154,7 +154,7 @@ class _Run:
             if setup.options.picture and setup.options.realtime is None:
                 ahead.enter_context(plots_imported_ahead())
             system.open(self.interruption.raise_if_requested)
-            if setup.plan.external:
+            if setup.plan.external and setup.options.cluster is None:
                 self._warn(joining(setup.plan, setup.scene, system.join))
             if setup.options.listen is not None and system.locator:
                 self._warn(f"listeners and operators connect to {system.locator}")

@@ -9,6 +9,7 @@ from inspect import getsourcefile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from bus import elementary
 from deploy.util.files import versions
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def fingerprint(scene: Scene) -> dict[str, str]:
 
     return {
         **versions(),
+        "elementary functions": elementary.fingerprint(),
         "the plant's kernels": key(),
         "the scene": sha256(scene.canonical()).hexdigest(),
         "the cells' program": _program(scene),
@@ -41,7 +43,6 @@ def cells_fingerprint(scene: Scene) -> dict[str, str]:
 
     The scene's part doesn't cover limits on the wall clock, such as ``stall.start_s``: these may differ.
     """
-    from bus import elementary
     from bus.kernel_cache.processor import level
 
     found = versions()
@@ -49,10 +50,15 @@ def cells_fingerprint(scene: Scene) -> dict[str, str]:
     return {
         **{name: found[name] for name in _OF_CELLS},
         "processor level": " ".join(level()).strip(),
-        "the C library's functions": elementary.fingerprint(),
+        "elementary functions": elementary.fingerprint(),
         "the scene": sha256(scene.canonical()).hexdigest(),
         "the cells' program": _program(scene),
     }
+
+
+def run_fingerprint(scene: Scene) -> dict[str, str]:
+    """Return everything that determines the bits of a run whose plant and cells share a host, by name."""
+    return {**fingerprint(scene), **cells_fingerprint(scene)}
 
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:

@@ -39,6 +39,12 @@ def socket_in(folder: str) -> str:
     return f"{_SOCKET}/{folder}/run"
 
 
+def socket_path(endpoint: str) -> str | None:
+    """Return the path of the Unix socket of an endpoint; None for other protocols."""
+    protocol, _, path = endpoint.partition("/")
+    return path if protocol == _SOCKET else None
+
+
 def check_listening(endpoint: str, kind: Kind | None, *, insecure: bool, option: Option = "--listen") -> None:
     """Check that the plant may listen on an endpoint.
 

@@ -62,6 +62,7 @@ class RunOptions:
         external: Whether the processes of cells are started by others, and join at ``join`` or at ``router``.
         router: Endpoint of a router that the plant connects to, instead of listening; None: the plant listens.
         name: Name of the run on the bus; None: a new one.
+        cluster: Dask cluster whose workers run the processes of cells, with ``external``; None: no cluster.
     """
 
     processes: Processes | None = None
@@ -86,6 +87,7 @@ class RunOptions:
     external: bool = False
     router: str | None = None
     name: str | None = None
+    cluster: str | None = None
 
 
 @final
@@ -96,7 +98,8 @@ class PlannedProcess:
     Attributes:
         name: Name in process lists and messages.
         role: ``plant`` or ``cells``.
-        where: ``this process``, ``a thread of this process``, ``a separate process`` or ``started by others``.
+        where: ``this process``, ``a thread of this process``, ``a separate process``, ``started by others`` or
+            ``a Dask worker``.
         cells: ``(row, column)`` of the cells that run in it.
         listen: Endpoint on which it listens for listeners and operators, or None.
         join: Endpoint on which it listens for processes of cells, or None.
@@ -179,7 +182,7 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
     lattice = scene.lattice()
     setting = _processes(options, lattice)
     workers = len(lattice) if setting == "each" else setting
-    option = "--shards" if options.external else "--processes"
+    option = "--shards" if options.external and options.cluster is None else "--processes"
     if not options.external and (rule := too_many_workers(workers, len(lattice))):
         raise InputError(f"{option} {setting}: {rule}")
     about = _about_keys(options)
@@ -213,13 +216,15 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
 
 def _asked(options: RunOptions) -> list[tuple[Option, str]]:
     """Return the endpoints to listen on that the options name, with the option that names each."""
-    join: Option = "--listen" if options.external else "--join"
+    join: Option = "--listen" if options.external and options.cluster is None else "--join"
     asked: list[tuple[Option, str | None]] = [("--listen", options.listen), (join, options.join)]
     return [(option, endpoint) for option, endpoint in asked if endpoint is not None]
 
 
 def _where(options: RunOptions, workers: int) -> str:
     """Say where processes of cells run."""
+    if options.cluster is not None:
+        return "a Dask worker"
     if options.external:
         return "started by others"
     return "a separate process" if workers else "a thread of this process"
@@ -240,6 +245,8 @@ def _check(options: RunOptions, scene: Scene, workers: int) -> None:
         raise InputError(
             "--respawn: there are no worker processes to restart: it needs --processes N or each"
         )
+    if options.cluster is not None:
+        _check_cluster(options, workers)
     if options.respawn and scene.effects.clock is not None:
         raise InputError("--respawn: doesn't go with effects.clock: a restarted cell has lost its instants")
     if options.realtime is not None and not 0 < options.realtime < float("inf"):
@@ -250,6 +257,18 @@ def _check(options: RunOptions, scene: Scene, workers: int) -> None:
         raise InputError(f"--checkpoint {options.checkpoint_s:g}: must be greater than 0")
     if options.checkpoint_s is not None and options.replay is not None:
         raise InputError("--checkpoint: a replayed run can't be saved; leave --checkpoint or --replay out")
+
+
+def _check_cluster(options: RunOptions, workers: int) -> None:
+    """Refuse options that don't go with a Dask cluster."""
+    if options.processes is None or not workers:
+        raise InputError(
+            f"--cluster {options.cluster}: needs --processes N, the number of shards: each has a Dask worker of its own"
+        )
+    if options.respawn:
+        raise InputError(
+            "--respawn: doesn't go with --cluster: shards are not started again there; --checkpoint lets the run resume"
+        )
 
 
 def _about_keys(options: RunOptions) -> KeyManifest | None:
@@ -274,7 +293,8 @@ def _wire(options: RunOptions, setting: Processes, about: KeyManifest | None) ->
     if setting != "each":
         return "packed"
     # Whoever is given an address may be any tool, or hardware: these read maps of single cells.
-    private = options.listen is None and options.join is None and not options.external
+    by_others = options.external and options.cluster is None
+    private = options.listen is None and options.join is None and not by_others
     return "relayed" if private else "per_cell"
 
 

@@ -22,6 +22,7 @@ from deploy.workers.worker import (
     ResumePoint,
     WorkerConfig,
     cell_faults,
+    compile_program,
     make_controller,
     modules_of,
     open_session,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
     from deploy.security.keyring import Keyring
     from deploy.workers.access import Access
+    from deploy.workers.cluster import DaskCluster
     from deploy.workers.presence import Presence
     from plant.array import CellArray
 
@@ -91,6 +93,9 @@ class System:
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
         forked = plan.workers > 0 and not plan.external
         self._processes = WorkerProcesses(plan, modules_of(scene)) if forked else None
+        if forked:
+            compile_program(scene)  # once, and before deadlines: workers load it from disk
+        self._cluster = _connected(plan, options)
         self._external: ExternalWorkers | None = None
         self._presence: Presence | None = None
         self._responder: Responder | None = None
@@ -131,7 +136,8 @@ class System:
         if self._plan.external:
             self._external = ExternalWorkers(self._plan, self._scene, hub, presence, say)
         self._cells = (
-            self._external
+            self._placed()
+            or self._external
             or self._processes
             or WorkerThread(open_session(self._access.join, self._keys(), 0, self._scene.stall))
         )
@@ -150,6 +156,19 @@ class System:
         )
         queue = access.questions(plant_key(self._plan.run, "status"))
         self._responder = Responder({queue: self.status.answer})
+
+    def _placed(self) -> WorkerGroup | None:
+        """Return the group of processes that a Dask cluster runs; None without a cluster."""
+        if self._cluster is None:
+            return None
+        from deploy.workers.cluster_group import ClusterWorkers
+
+        assert self._external is not None, (
+            "this is a bug: processes of a Dask cluster join as those of others"
+        )
+        group = ClusterWorkers(self._cluster, self._plan, self._options.keys, self._external, self.join)
+        self._cluster = None  # the group's from now on
+        return group
 
     @property
     def join(self) -> str:
@@ -323,10 +342,23 @@ class System:
                     if side is not None:
                         side.close(max(deadline - time.monotonic(), _LEAVE_S) if self._running else 0.0)
             finally:
-                for opened in (self._access, self._endpoint):
+                for opened in (self._cluster, self._access, self._endpoint):
                     if opened is not None:
                         opened.close()
         return counts
+
+
+def _connected(plan: Plan, options: RunOptions) -> DaskCluster | None:
+    """Connect to the requested Dask cluster; None where none is requested.
+
+    Raises:
+        InputError: There is no such cluster, or it has fewer workers than the run has shards.
+    """
+    if options.cluster is None:
+        return None
+    from deploy.workers.cluster import connect_for
+
+    return connect_for(options.cluster, plan.workers, insecure=options.insecure)
 
 
 def _keyring(folder: Path, plan: Plan, options: RunOptions) -> Keyring:

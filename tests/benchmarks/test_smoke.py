@@ -59,6 +59,9 @@ SCRIPTS: dict[str, Smoke] = {
     "deploy/campaign_cost.py": Smoke(
         "--runs 2 --turns 1 --duration 0.05", rf"1 job {N}, 2 jobs {N}: {N} times"
     ),
+    "deploy/cluster_campaign.py": Smoke(
+        "--runs 4 --turn 4 --duration 0.05", rf"of ideal: {N} by wall time, {N} by processor time"
+    ),
     "deploy/campaign_intervals.py": Smoke("--samples 20", rf"exponential +50 +{N}% +{N}%"),
     "deploy/checkpoint_cost.py": Smoke(
         "--repeats 1 --every 0.1 --quick", rf"18 +{N} +{N} +{N} +{N} +{N} +{N}"
@@ -108,6 +111,7 @@ SCRIPTS: dict[str, Smoke] = {
     "protocols/align_sweep.py": Smoke("--quick", rf"camera +{N} +{N} +{N} +{N}%"),
     "protocols/hops_over_bad_links.py": Smoke("--seeds 1", rf"clocks off by up to 5 % +8 +{N} +{N} +{N}"),
     "protocols/junction.py": Smoke("--parcels 8 --gaps 2 --seconds 5", rf"1 +2\.00 +{N} +2\.00 +{N}"),
+    "protocols/kit_over_seeds.py": Smoke("--seeds 2", rf"apart by 1; {N} to {N} rounds in {N} ticks"),
     "protocols/lab_speed.py": Smoke(
         "--side 3 --ticks 20 --turns 1 --depth 3", rf"search of 2 x 3 cells: {N} states, .* {N} states/s"
     ),
@@ -123,7 +127,11 @@ SCRIPTS: dict[str, Smoke] = {
     "protocols/vehicle_over_bad_links.py": Smoke("--seeds 1", rf" {N} of {N}\s*$"),
 }
 
-NEEDS = {"plant/contact_queues.py": "mujoco", "plant/mujoco_parcel.py": "mujoco"}
+NEEDS = {
+    "deploy/cluster_campaign.py": "distributed",
+    "plant/contact_queues.py": "mujoco",
+    "plant/mujoco_parcel.py": "mujoco",
+}
 """Packages that come with an extra."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,8 +22,10 @@ from deploy.util.formatting import say, silent
 from deploy.util.signals import Interrupted, Interruption
 
 if TYPE_CHECKING:
+    from deploy.scenes.scene import Scene
     from deploy.studies.campaign.cases import Case, Cases
     from deploy.studies.campaign.spec import CampaignSpec
+    from deploy.workers.cluster import DaskCluster
 
 
 FILE_NAME = "runs.jsonl"
@@ -136,25 +138,32 @@ class Campaign:
     folder: Path
     quiet: bool = False
 
-    def run(self, jobs: int, interruption: Interruption) -> CampaignReport:
-        """Do all runs that are missing, in worker processes of this machine.
+    def run(
+        self, jobs: int, interruption: Interruption, cluster: DaskCluster | None = None
+    ) -> CampaignReport:
+        """Do all runs that are missing.
 
         Args:
-            jobs: Runs at a time.
+            jobs: Runs at a time, without a cluster.
             interruption: Ends the campaign early; what is over by then is retained.
+            cluster: Dask cluster that does the runs; None: worker processes of this machine.
 
         Returns:
             The report, of all runs that are over.
 
         Raises:
-            InputError: A line of the file of runs that are over makes no sense.
-            DeployError: No worker can be started, or a result can't be written.
+            InputError: A line of the file of runs that are over makes no sense, or a worker of the cluster would
+                produce other bits.
+            DeployError: No worker can be started, the cluster is lost, or a result can't be written.
         """
         with Journal(self.folder) as journal:
             status, reason = "ok", ""
             try:
                 if len(journal.runs) < self.cases.runs:
-                    self._run_parallel(journal, jobs, interruption)
+                    if cluster is None:
+                        self._run_parallel(journal, jobs, interruption)
+                    else:
+                        self._run_on_cluster(journal, cluster, interruption)
             except Interrupted:
                 over, total = len(journal.runs), self.cases.runs
                 status = "interrupted"
@@ -171,6 +180,24 @@ class Campaign:
             with interruption.interruptible():
                 self._warm_up()
             self.execute(pool, journal)
+
+    def _run_on_cluster(self, journal: Journal, cluster: DaskCluster, interruption: Interruption) -> None:
+        from deploy.studies.campaign.cluster import ClusterError, ClusterExecutor
+
+        with interruption.interruptible():
+            executor = ClusterExecutor(
+                cluster,
+                self.cases.scene,
+                self.spec.limit_s,
+                interruption.raise_if_requested,
+                check=self.spec.check,
+                say=silent if self.quiet else say,
+            )
+            executor.warm(tuple(self._kinds()))
+        try:
+            self.execute(executor, journal)
+        except ClusterError as error:
+            raise DeployError(f"{error}: `mdms campaign --resume {self.folder}` resumes") from None
 
     def execute(self, executor: Executor, journal: Journal) -> None:
         """Execute all missing runs: first each baseline once, then the runs compared with a baseline.
@@ -218,14 +245,19 @@ class Campaign:
         """Have kernels on disk before several processes look for them there."""
         from deploy.runs.setup import load_plant
 
+        for scene in self._kinds():
+            with suppress(InputError):  # every run of it will say so
+                load_plant(scene, silent if self.quiet else say)
+
+    def _kinds(self) -> Iterator[Scene]:
+        """Yield a scene for each set of kernels."""
         seen: set[tuple[object, ...]] = set()
         for case in self.cases.cases:
             effects = case.scene.effects
             kind = (case.scene.solver.name, effects.clock is None, effects.motors is None)
             if kind not in seen:
                 seen.add(kind)
-                with suppress(InputError):  # every run of it will say so
-                    load_plant(case.scene, silent if self.quiet else say)
+                yield case.scene
 
     def _report(self, journal: Journal, status: str, reason: str) -> CampaignReport:
         outcomes = journal.runs
