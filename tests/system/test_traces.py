@@ -287,7 +287,10 @@ def test_the_command_traces_and_draws(counting: Path, capsys: pytest.CaptureFixt
         (["--kind", "sequence", "--ticks", "0-900"], "a chart has room for 200 ticks, not 901"),
         (["--kind", "spacetime", "--register", "x"], "--register x: must be one of firmware.count"),
         (["--kind", "phase", "--cells", "1,1"], "--cells: goes with --kind sequence or spacetime, not phase"),
-        (["--kind", "sequence", "--register", "x"], "--register: goes with --kind spacetime, not sequence"),
+        (
+            ["--kind", "sequence", "--register", "x"],
+            "--register: goes with --kind spacetime, or field with --animate, not sequence",
+        ),
     ):
         assert main(["plot", str(output), *wrong]) == 2
         assert problem in " ".join(capsys.readouterr().err.split())
