@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Literal, NamedTuple, Protocol, final
@@ -78,10 +78,10 @@ class WheelRun:
     def speed(self, after_s: Floats | float) -> Floats:
         """``(n, 2)`` m/s after so many seconds, ``(n, 2)`` or one for all."""
         motion = self.motion
-        speed: Floats = motion.steady + motion.decay * np.exp(-motion.rate * np.asarray(after_s))
+        speed: Floats = motion.steady + motion.decay * _exp(-motion.rate * np.asarray(after_s))
         for begun, steady, decay in self._each_change():
             on = begun <= after_s
-            left = np.exp(-motion.rate * (after_s - np.minimum(begun, after_s)))
+            left = _exp(-motion.rate * (after_s - np.minimum(begun, after_s)))
             speed = np.where(on, steady + decay * left, speed)
         return speed
 
@@ -102,8 +102,29 @@ class WheelRun:
         return () if self.changes is None else zip(*self.changes, strict=True)
 
 
+def _exp(x: Floats) -> Floats:
+    """Return the exponential of each element, from the C library as kernels have it (``bus.elementary`` tells why)."""
+    from plant.kernels.wheels import entry
+
+    return _of_each(entry.exp_of_each, x)
+
+
+def _expm1(x: Floats) -> Floats:
+    """Return ``exp(x) - 1`` of each element, likewise."""
+    from plant.kernels.wheels import entry
+
+    return _of_each(entry.expm1_of_each, x)
+
+
+def _of_each(kernel: Callable[[Floats, Floats], None], x: Floats) -> Floats:
+    values = np.ascontiguousarray(x)
+    found = np.empty_like(values)
+    kernel(values.reshape(-1), found.reshape(-1))
+    return found
+
+
 def _travel_of(steady: Floats, decay: Floats, rate: float, span_s: Floats) -> Floats:
-    return steady * span_s - decay * (np.expm1(-rate * span_s) / rate)
+    return steady * span_s - decay * (_expm1(-rate * span_s) / rate)
 
 
 @final
@@ -128,7 +149,7 @@ class WheelIntegrator:
             for begun, steady, decay in zip(*change, strict=True):
                 new = (begun > self._begun_s) & (begun <= self._now_s)
                 self._steady[new] = steady[new]
-                self._decay[new] = decay[new] * np.exp(-rate * (self._now_s - begun[new]))
+                self._decay[new] = decay[new] * _exp(-rate * (self._now_s - begun[new]))
                 if slowed is not None:
                     self._decay[new] += slowed[:, :2][new]
         self._begun_s = self._now_s

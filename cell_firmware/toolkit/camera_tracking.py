@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final, final
 
 import numpy as np
@@ -51,7 +52,7 @@ class CameraTracker:
         close = square[np.arange(len(place)), nearest] <= state["reach_m"] * state["reach_m"]
         # of each parcel once, not of each cell: a cell alone gets the same bits
         angle = picture.pose[:, 2]
-        direction = np.array([(np.cos(one), np.sin(one)) for one in angle])
+        direction = np.array([(math.cos(one), math.sin(one)) for one in angle])
         return {
             **state,
             "counts": np.where(close, state["ttl_periods"], 0),

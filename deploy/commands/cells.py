@@ -15,6 +15,8 @@ from deploy.commands.options import (
     SceneArgument,
     SeedOption,
     SetOption,
+    SolverOption,
+    ToleranceOption,
     load_scene,
 )
 from deploy.errors import InputError
@@ -75,25 +77,27 @@ def cells(
     sets: SetOption = None,
     seed: SeedOption = None,
     duration: DurationOption = None,
+    solver: SolverOption = None,
+    tolerance: ToleranceOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Run the cells of one shard, and join the run of a plant that is started elsewhere (mdms plant).
 
-    Plant and cells may be started in any order, and wait for each other up to stall.start_s (30 s). The scene and its
-    --set, --seed and --duration must be the plant's: the plant names what differs. The process ends with the
+    Plant and cells may be started in any order, and wait for each other up to stall.start_s (30 s). The scene
+    and its --set, --seed and the like must be the plant's: the plant names what differs. The process ends with the
     run. It ends with exit status 1 if the plant has gone or has dropped the cells; started again, it rejoins a
     run that has --respawn.
 
     The second of two shards; one cell of a plant with --shards each; for a plant on another host:
 
       [cyan]mdms cells heat --shard 1/2[/cyan]
-      [cyan]mdms cells prototype --cell 3,4[/cyan]
+      [cyan]mdms cells prototype --cell 0,0[/cyan]
       [cyan]mdms cells heat --shard 1/2 --connect tls/10.0.0.5:7447 --keys cells-1[/cyan]
     """
     from deploy.runs.output import default_run
     from deploy.workers.shard_process import ShardProcess, check_name
 
-    made = load_scene(scene, sets, seed, duration)
+    made = load_scene(scene, sets, seed, duration, solver, tolerance)
     partition, number = _place(shard, cell, made.lattice())
     name = default_run(made) if run is None else check_name(run)
     identity = None if keys is None else _identity(keys, partition, number, each=cell is not None)

@@ -135,6 +135,15 @@ OutputOption = Annotated[
 ]
 
 
+ChartOption = Annotated[
+    bool,
+    typer.Option(
+        "--picture/--no-picture",
+        help="Draw the messages of a counterexample's last ticks beside it, as a sequence chart.",
+    ),
+]
+
+
 def check(
     protocol: ProtocolArgument,
     *,
@@ -154,6 +163,7 @@ def check(
     states: StatesOption = 2_000_000,
     limit: LimitOption = 120.0,
     output: OutputOption = Path("counterexample.toml"),
+    picture: ChartOption = True,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -163,7 +173,8 @@ def check(
     repair of a cell count as one fault each. Every state that at most --faults faults in the first --depth ticks lead
     to is visited. For eventual conditions further ticks without faults follow, until they are due.
 
-    A violation is replayed before it is reported, and written as a scene. Exit status 1: a violation was found.
+    A violation is replayed before it is reported, and written as a scene, with a chart of its last messages. Exit
+    status 1: a violation was found.
 
       [cyan]mdms check tree.py --world 2x2 --faults 2 --depth 12[/cyan]
       [cyan]mdms check words.py --begin version=65534 --kinds loss,outage --outage 5[/cyan]
@@ -207,6 +218,12 @@ def check(
     if counterexample is not None:
         counterexample.write(output)
         notify(f"counterexample: {output}; mdms run {output} --check repeats it")
+        if picture:
+            from deploy.studies.adversary.chart import draw_counterexample
+
+            chart = output.with_suffix(".png")
+            if draw_counterexample(counterexample, output, chart):
+                notify(f"its messages: {chart}")
     _finish(rows, counterexample, as_json=as_json)
 
 

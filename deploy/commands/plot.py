@@ -70,7 +70,10 @@ TicksOption = Annotated[
 RegisterOption = Annotated[
     str | None,
     typer.Option(
-        "--register", metavar="NAME", help="Register of spacetime. Default: one of the program's variables."
+        "--register",
+        metavar="NAME",
+        help="Register of spacetime (default: one of the program's variables), and of an animated field (default: the "
+        "wheels' speed).",
     ),
 ]
 AnimateOption = Annotated[
@@ -78,7 +81,8 @@ AnimateOption = Annotated[
     typer.Option(
         "--animate",
         metavar="FILE",
-        help="Write an animation of the view from above instead: MP4 or GIF by its suffix.",
+        help="Write an animation of the view from above instead: MP4 or GIF by its suffix. With --kind field, cells "
+        "have the colour of their wheels' speed, or of a --register.",
     ),
 ]
 
@@ -101,6 +105,7 @@ def plot(
       [cyan]mdms plot runs/NAME --output figure.pdf[/cyan]
       [cyan]mdms plot runs/NAME --kind loads --at 1.5 --output loads.svg[/cyan]
       [cyan]mdms plot runs/NAME --animate run.mp4[/cyan]
+      [cyan]mdms plot runs/NAME --kind field --register firmware.speed_m_s --animate field.gif[/cyan]
 
     Messages between three cells, and how a register spreads along a row:
 
@@ -117,17 +122,13 @@ def plot(
         raise InputError(f"--cells: goes with --kind sequence or spacetime, not {kind.value}")
     if ticks is not None and kind is not Kind.sequence:
         raise InputError(f"--ticks: goes with --kind sequence, not {kind.value}")
-    if register is not None and kind is not Kind.spacetime:
-        raise InputError(f"--register: goes with --kind spacetime, not {kind.value}")
+    if register is not None and kind is not Kind.spacetime and (kind is not Kind.field or animate is None):
+        raise InputError(f"--register: goes with --kind spacetime, or field with --animate, not {kind.value}")
     between = None if ticks is None else _ticks(ticks)
     if animate is not None:
-        from deploy.plots.animation import check_animation, draw_animation
-
-        if output is not None or kind is not Kind.overview:
-            raise InputError("--animate: goes without --output and --kind")
-        check_animation(animate)  # a wrong suffix is refused before a long recording is read
-        draw_animation(load(recording), animate)
-        print(animate)
+        if output is not None or kind not in (Kind.overview, Kind.field) or at is not None:
+            raise InputError("--animate: goes without --output and --at, and with --kind field alone")
+        _animate(recording, animate, kind, register)
         return
     if output is not None:
         format_of(output)
@@ -143,6 +144,21 @@ def plot(
 
         named = None if not cells else " ".join(cells)
         draw_kind(run, kind.value, path, PlotSelection(at, named, between, register))
+    print(path)
+
+
+def _animate(recording: Path, path: Path, kind: Kind, register: str | None) -> None:
+    """Write an animation and print its path."""
+    from deploy.plots.animation import check_animation, draw_animation
+    from deploy.plots.cell_values import RegisterValues, WheelSpeedValues
+    from deploy.recordings.reader import load
+
+    check_animation(path)  # a wrong suffix is refused before a long recording is read
+    run = load(recording)
+    values = None
+    if kind is Kind.field:
+        values = WheelSpeedValues(run) if register is None else RegisterValues(run, register)
+    draw_animation(run, path, values)
     print(path)
 
 

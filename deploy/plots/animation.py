@@ -1,4 +1,4 @@
-"""Animations of a recording: the map view over time, as MP4 or GIF."""
+"""Animations of a recording: the map view, or a field of all cells, over time, as MP4 or GIF."""
 
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
 # (matplotlib leaves the keywords of its drawing methods untyped.)
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from deploy.errors import InputError
 from deploy.plots.arrows import ArrowGrid, draw_arrows
+from deploy.plots.cell_values import CellValues
+from deploy.plots.fields import cell_colours
 from deploy.plots.map_view import ARROW, CELL, draw_ground, extent, outline
 from deploy.plots.overview import subtitle_of
 from deploy.plots.theme import draw_heading, plot_style
@@ -60,12 +62,13 @@ def _encoder(path: Path) -> str:
         ) from None
 
 
-def draw_animation(recording: Recording, path: str | Path) -> None:
+def draw_animation(recording: Recording, path: str | Path, values: CellValues | None = None) -> None:
     """Draw the map view over time. The file is written whole or not at all.
 
     Args:
         recording: The recording, whole or cut.
         path: The file to write, MP4 or GIF by its suffix.
+        values: Values that colour the cells; None: which cells are covered colours them.
 
     Raises:
         InputError: The suffix names no format, there is no encoder, or the recording has no instant.
@@ -80,7 +83,7 @@ def draw_animation(recording: Recording, path: str | Path) -> None:
         raise InputError(f"{recording.path}: has no instant to animate")
     suffix = path.suffix.lower().removeprefix(".")
     with plot_style(), atomic_write(path) as draft:
-        scene = _AnimatedMap(recording)
+        scene = _AnimatedMap(recording, values)
         # the writers go by the suffix, which a draft doesn't have
         named = draft.with_name(f"{draft.name}.{suffix}")
         settings: Any = {"animation.ffmpeg_path": _encoder(path)} if suffix == "mp4" else {}
@@ -98,30 +101,41 @@ def draw_animation(recording: Recording, path: str | Path) -> None:
 
 @final
 class _AnimatedMap:
-    """The map of a recording, whose parcels, covered sensors and wheels move.
+    """The map of a recording, whose parcels and wheels move, and whose cells change their colours.
+
+    Args:
+        recording: The recording.
+        values: Values that colour the cells, with a bar; None: covered cells have another colour.
 
     Attributes:
         figure: The figure.
         rows: Instants of the frames.
     """
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, values: CellValues | None = None) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        self._recording, self._track = recording, recording.run_trace()
+        self._recording, self._track, self._values = recording, recording.run_trace(), values
         self.rows = _frames(recording.time_s)
         left, right, bottom, top = extent(self._track)
         ratio = (right - left) / (top - bottom)
         wide = min(max(5.4 * ratio, 3.0), 9.0)
         tall = min(max(wide / ratio, 1.2), 5.4)
-        width, height = 0.85 + wide + 0.35, 1.0 + tall + 0.6
+        width, height = 0.85 + wide + (0.35 if values is None else 1.25), 1.0 + tall + 0.6
         # an even number of pixels, which MP4 asks for
         width, height = (2 * round(0.5 * _DPI * size) / _DPI for size in (width, height))
         self.figure: Figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
         FigureCanvasAgg(self.figure)
         axes: Any = self.figure.add_axes((0.85 / width, 0.6 / height, wide / width, tall / height))
         self._cells = draw_ground(axes, self._track)
+        if values is not None:
+            self._cells.set_cmap(cell_colours())
+            self._cells.set_array(values.at(int(self.rows[0])))
+            self._cells.set_clim(*values.limits(self.rows))
+            beside: Any = (1.05 + wide) / width, 0.6 / height, 0.16 / width, tall / height
+            bar = self.figure.add_axes(beside)
+            self.figure.colorbar(self._cells, cax=bar, label=values.label)
         self._grid = ArrowGrid.of(self._track.cells, self._track.pitch_m)
         self._shown = self._grid.shown
         self._arrows = self._draw_arrows(axes)
@@ -148,8 +162,11 @@ class _AnimatedMap:
         """Draw one instant."""
         recording, track = self._recording, self._track
         self._time.set_text(f"{track.time_s[row]:.2f} s")
-        covered = np.any(recording.held_presence.at(row), axis=1)
-        self._cells.set_facecolor([_COVERED if one else CELL for one in covered.tolist()])
+        if self._values is not None:
+            self._cells.set_array(self._values.at(row))
+        else:
+            covered = np.any(recording.held_presence.at(row), axis=1)
+            self._cells.set_facecolor([_COVERED if one else CELL for one in covered.tolist()])
         if self._arrows is not None:
             speeds = recording.held_wheel_speeds.at(row)[self._shown]
             self._arrows.set_UVC(*np.where(np.isfinite(speeds), speeds, 0.0).T)

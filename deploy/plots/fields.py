@@ -88,7 +88,7 @@ def _cells_figure(
     cells = PolyCollection(
         list(square_corners(track.positions_m, track.pitch_m * (1.0 if fine else 0.92))),
         array=np.ma.masked_invalid(values),
-        cmap=_colours(),
+        cmap=cell_colours(),
         antialiaseds=not fine,
         edgecolors="none",
         zorder=1,
@@ -107,7 +107,8 @@ def _cells_figure(
     return figure
 
 
-def _colours() -> Any:
+def cell_colours() -> Any:
+    """Return the colour map of cells, on whose darkest colour arrows are visible."""
     import matplotlib as mpl
     from matplotlib.colors import ListedColormap
 

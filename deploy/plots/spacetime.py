@@ -40,7 +40,7 @@ def spacetime_figure(recording: Recording, register: str | None, cells: str | No
     """
     from matplotlib.figure import Figure
 
-    name = _register(recording, register)
+    name = chosen_register(recording, register)
     places = [(int(row), int(column)) for row, column in recording.header["cells"]]
     if cells is None:
         rows = sorted({row for row, _ in places})
@@ -77,8 +77,12 @@ def spacetime_figure(recording: Recording, register: str | None, cells: str | No
     return figure
 
 
-def _register(recording: Recording, register: str | None) -> str:
-    """Return the name of the register to draw."""
+def chosen_register(recording: Recording, register: str | None) -> str:
+    """Return the name of the register to draw: the one named, or one of the program's.
+
+    Raises:
+        InputError: The recording has no registers, or no such register.
+    """
     registers = recording.registers
     names = sorted(name for name, array in registers.items() if array.dtype.kind in "biuf")
     if not names:

@@ -218,10 +218,10 @@ class Motors:
         Those that stop before ``end_s`` stand, or turn round. From V towards s on the other side of zero it takes
         ``tau ln(1 + |V / s|)``.
         """
-        steady, decay, ratio = np.empty_like(volts), np.empty_like(volts), np.empty_like(volts)
-        if not self._entry.set_off(_whole(speed), volts, self._law, steady, decay, ratio):
+        steady, decay, log_ratio = np.empty_like(volts), np.empty_like(volts), np.empty_like(volts)
+        if not self._entry.set_off(_whole(speed), volts, self._law, steady, decay, log_ratio):
             return steady, decay, []
-        after_s = begun_s + self._motor.time_constant_s * np.log1p(ratio)
+        after_s = begun_s + self._motor.time_constant_s * log_ratio
         stops = after_s < end_s
         if not stops.any():
             return steady, decay, []

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, ClassVar, Self, final
 
-import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from bus import elementary
 from bus.effect import EffectSpec
 from bus.lattice import Lattice
 from bus.random_streams import rng
@@ -101,8 +101,8 @@ def friction_factors(spec: UnevenFrictionSpec, lattice: Lattice, seed: int) -> F
     """
     draw = rng(seed, "uneven_friction").standard_normal((len(lattice), 3))
     # the mean of exp(s g) is exp(s^2 / 2)
-    cells = np.exp(spec.cell_spread * draw[:, :1] - 0.5 * spec.cell_spread**2)
-    factors: Floats = cells * np.exp(spec.wheel_spread * draw[:, 1:] - 0.5 * spec.wheel_spread**2)
+    cells = elementary.exp(spec.cell_spread * draw[:, :1] - 0.5 * spec.cell_spread**2)
+    factors: Floats = cells * elementary.exp(spec.wheel_spread * draw[:, 1:] - 0.5 * spec.wheel_spread**2)
     for one in spec.cells:
         factors[lattice.index(one.cell)] = one.both
     return factors

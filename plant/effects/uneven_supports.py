@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Self, final
 
-import numpy as np
 from pydantic import Field, field_validator
 
+from bus import elementary
 from bus.effect import EffectSpec
 from bus.lattice import Lattice
 from bus.random_streams import rng
@@ -98,7 +98,7 @@ def supports(spec: UnevenSupportsSpec, lattice: Lattice, seed: int) -> UnevenSup
     draw = rng(seed, "uneven_supports").standard_normal((len(lattice), 2))
     spread = spec.stiffness_spread
     # the mean of exp(s g) is exp(s^2 / 2)
-    rate: Floats = np.exp(spread * draw[:, 0] - 0.5 * spread * spread)
+    rate: Floats = elementary.exp(spread * draw[:, 0] - 0.5 * spread * spread)
     height: Floats = spec.height_spread_m * draw[:, 1]
     for one in spec.cells:
         cell = lattice.index(one.cell)

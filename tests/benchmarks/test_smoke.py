@@ -47,6 +47,7 @@ SCRIPTS: dict[str, Smoke] = {
         "--cells 1000 --workers 1 --turns 1 --seconds 0.1 --picture ''",
         rf"1 worker, recorded +{N} +{N} +{N} +{N} +{N} +{N} +{N}",
     ),
+    "scale.py": Smoke("--quick --seconds 0.1 --picture ''", rf"1,000,000 +100 +40.0 +9 +{N} +plant"),
     "digest_cost.py": Smoke("", rf"10000 +{N} +{N}"),
     "cells/random_draws.py": Smoke("", rf"Scalar +10000 +{N} +{N} +{N}"),
     "cells/board_cost.py": Smoke("--cells 18 --turns 1 --budget 0.02", rf"mux +{N} \({N}-{N}\)"),

@@ -7,6 +7,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from bus import elementary
 from plant.array import CellArray
 from plant.effects.feeders.spec import FeedersSpec
 from plant.effects.scanners.spec import ScannersSpec
@@ -64,7 +65,7 @@ class Scanners:
         if not len(there):
             return found
         here = state[there]
-        c, s = np.cos(here[:, 2])[:, None], np.sin(here[:, 2])[:, None]
+        c, s = elementary.cos(here[:, 2])[:, None], elementary.sin(here[:, 2])[:, None]
         dx, dy = self._at_m[:, 0] - here[:, :1], self._at_m[:, 1] - here[:, 1:2]
         x, y = (c * dx + s * dy)[..., None], (c * dy - s * dx)[..., None]
         normal = self._normal[there, None]

@@ -11,6 +11,8 @@ REAL = types.float64
 LAW = types.Array(REAL, 1, "C", readonly=True)
 CELLS = types.Array(REAL, 1, "C", readonly=True)
 READ = types.Array(REAL, 2, "C", readonly=True)
+VECTOR = types.Array(REAL, 1, "C", readonly=True)
+OUT = types.Array(REAL, 1, "C")
 FILLED = types.Array(REAL, 2, "C")
 
 with disk_cached(__name__):
@@ -19,4 +21,6 @@ with disk_cached(__name__):
     delayed = njit((READ, READ, CELLS, FILLED, FILLED), **options)(motors.delayed.py_func)
     set_off = njit((READ, READ, LAW, FILLED, FILLED, FILLED), **options)(motors.set_off.py_func)
     stand = njit((READ, LAW, FILLED, FILLED), **options)(motors.stand.py_func)
+    exp_of_each = njit((VECTOR, OUT), **options)(motors.exp_of_each.py_func)
+    expm1_of_each = njit((VECTOR, OUT), **options)(motors.expm1_of_each.py_func)
     elapse = njit((READ, READ, READ, REAL, REAL, REAL, FILLED, FILLED), **options)(motors.elapse.py_func)

@@ -6,7 +6,7 @@ those of compiled code.
 
 from __future__ import annotations
 
-from math import inf
+from math import exp, expm1, inf, log1p
 
 from bus.kernel_cache.callee import kernel
 
@@ -65,7 +65,7 @@ def delayed(volts, before, acts, first, begun):
 
 
 @kernel
-def set_off(speed, volts, law, steady, decay, ratio):
+def set_off(speed, volts, law, steady, decay, log_ratio):
     """Fill in the motion of all wheels ``(n, 2)`` at a speed under voltages, until they stop.
 
     Args:
@@ -74,8 +74,8 @@ def set_off(speed, volts, law, steady, decay, ratio):
         law: ``(3,)``: gain, voltage of friction, voltage that starts a wheel.
         steady: m/s.
         decay: m/s.
-        ratio: is filled with speed by steady speed where a wheel is to stop on its way to the other side, else with
-            infinity.
+        log_ratio: is filled with ln(1 + speed by steady speed) where a wheel is to stop on its way to the other side,
+            else with infinity.
 
     Returns:
         Whether some wheel may stop.
@@ -85,9 +85,9 @@ def set_off(speed, volts, law, steady, decay, ratio):
         for w in range(2):
             v = speed[i, w]
             s, decay[i, w] = motion_of(v, volts[i, w], law)
-            steady[i, w], ratio[i, w] = s, inf
+            steady[i, w], log_ratio[i, w] = s, inf
             if law[2] != 0.0 and abs(v) > STILL_M_S and ((v > 0.0 and s < 0.0) or (v < 0.0 and s > 0.0)):
-                ratio[i, w] = abs(v) / abs(s)
+                log_ratio[i, w] = log1p(abs(v) / abs(s))
                 stops = True
     return stops
 
@@ -118,3 +118,17 @@ def elapse(steady, decay, begun, span, covered, left, travel, speed):
         for w in range(2):
             travel[i, w] = begun[i, w] + steady[i, w] * span + decay[i, w] * covered
             speed[i, w] = steady[i, w] + decay[i, w] * left
+
+
+@kernel
+def exp_of_each(x, found):
+    """Fill ``found`` with the exponentials of ``x``, ``(n,)`` each."""
+    for i in range(len(x)):
+        found[i] = exp(x[i])
+
+
+@kernel
+def expm1_of_each(x, found):
+    """Fill ``found`` with ``exp(x) - 1``, ``(n,)`` each."""
+    for i in range(len(x)):
+        found[i] = expm1(x[i])

@@ -45,6 +45,9 @@ def test_counters_begin_near_their_wraps_too(tmp_path: Path, capsys: pytest.Capt
     assert "1x3 from version=65534: " in said.out
     assert f"counterexample: {file}; mdms run {file} --check repeats it" in said.err
     assert "version = 65534" in Path(file).read_text(encoding="utf-8")
+    chart = Path(file).with_suffix(".png")
+    assert f"its messages: {chart}" in said.err
+    assert chart.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(

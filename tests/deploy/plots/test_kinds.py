@@ -18,6 +18,7 @@ from deploy.cli import main
 from deploy.plots import theme
 from deploy.plots.animation import draw_animation
 from deploy.plots.arrows import round_below
+from deploy.plots.cell_values import RegisterValues, WheelSpeedValues
 from deploy.plots.kinds import KINDS, OF_CELLS, PlotSelection, draw_kind
 from deploy.recordings.reader import Recording, load
 from deploy.runs.run import run
@@ -176,13 +177,30 @@ def test_an_animation_is_a_gif_of_the_whole_run(tmp_path: Path, made_up_run: Mak
     assert not list(tmp_path.glob("*.draft*"))
 
 
+def test_cells_of_an_animated_field_have_the_value_recorded_last(tmp_path: Path) -> None:
+    scene = load_scene("heat", [Override(("duration_s",), 0.1, "")])
+    run(scene, RunOptions(0, "memory", output=tmp_path, picture=False, registers=4), quiet=True)
+    recording = load(tmp_path)
+    values = RegisterValues(recording, "firmware.speed_m_s")
+    pairs = recording.registers["firmware.speed_m_s"]
+    for row in (0, 7, 8, len(recording.tick) - 1):
+        place = int(np.flatnonzero(recording.register_tick <= recording.tick[row])[-1])
+        assert values.at(row).tolist() == [float(np.hypot(x, y)) for x, y in pairs[place]]
+    assert values.limits(np.arange(len(recording.tick))) == (0.0, float(np.hypot(*pairs[-1].T).max()))
+    speeds = WheelSpeedValues(recording)
+    assert speeds.at(9).tolist() == np.hypot(*recording.held_wheel_speeds.at(9).T).tolist()
+    draw_animation(recording, tmp_path / "field.gif", values)
+    with Image.open(tmp_path / "field.gif") as picture:
+        assert picture.n_frames == 3
+
+
 @pytest.mark.parametrize(
     ("words", "rule"),
     [
         (["--kind", "time", "--at", "0.1"], "--at: goes with --kind loads or field, not time"),
         (["--kind", "field", "--at", "99"], "--at 99: the recording has the time from 0 to"),
         (["--animate", "x.avi"], "animation x.avi: its name must end in .mp4 or .gif"),
-        (["--animate", "x.gif", "--kind", "time"], "--animate: goes without --output and --kind"),
+        (["--animate", "x.gif", "--kind", "time"], "--animate: goes without --output and --at, and"),
         (["--kind", "loads"], "its scene is not one of this version"),
     ],
 )

@@ -281,6 +281,18 @@ def test_a_sampled_counterexample_is_shrunk_to_the_fault_that_matters(seed: int)
     assert result.limit == ""
 
 
+@pytest.mark.slow
+@pytest.mark.system
+def test_a_sampled_counterexample_stops_a_run_over_zenoh_in_the_same_tick(tmp_path: Path) -> None:
+    scene = world_scene(HandOverUnacknowledged, (2, 6), seed=1)
+    _, counterexample = check_by_sampling(scene, Adversary(6, 30, ("loss", "delay", "outage")), 300)
+    assert counterexample is not None
+    counterexample.write(tmp_path / "counterexample.toml")
+    options = RunOptions("each", output=tmp_path / "out", picture=False, check="stop")
+    summary = run(load_scene(tmp_path / "counterexample.toml"), options, quiet=True).summary
+    assert (summary.reason, summary.ticks) == (str(counterexample.violation), counterexample.ticks)
+
+
 def test_a_sampled_protocol_without_the_mistake_holds_and_draws_are_repeated() -> None:
     scene = world_scene(Tree, (2, 4), seed=5)
     adversary = Adversary(3, 10, ("loss", "delay", "death"))
