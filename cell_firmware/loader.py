@@ -177,7 +177,7 @@ def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
     with refusals(spec.firmware, "__init__()"):
         firmware = found(parameters)
     program = PerCellAdapter(firmware) if isinstance(firmware, CellFirmware) else firmware
-    if isinstance(program, ScalarProgram) and program.is_compiled():
+    if isinstance(program, ScalarProgram) and program.is_compiled() and spec.firmware not in BUNDLED:
         program.scalar_kernels()  # before anything starts: a step that can't be compiled is bad input
     guard(program, spec.firmware)
     if spec.initial_registers:

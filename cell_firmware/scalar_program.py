@@ -8,7 +8,7 @@ import os
 import sys
 import textwrap
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
@@ -56,15 +56,17 @@ class ScalarProgram(ScalarFirmware):
                 state.ticks += 1
                 outputs.speed_m_s[0] = constants.speed_m_s
 
-    ``cell_step`` reads and writes records, see ``cell_firmware.kernels.program``. It may call functions of its own file
-    that are decorated with ``scalar_function``, and ``math``. In the first ticks its results are compared with those of
-    the same source in Python; a difference is a failure of the cell.
+    ``cell_step`` reads and writes records, see ``cell_firmware.kernels.program``. It may call functions that are
+    decorated with ``scalar_function``, those of ``mdms.kit`` among them, and ``math``. In the first ticks its results
+    are compared with those of the same source in Python; a difference is a failure of the cell.
 
     Attributes:
         constants_type: Type of the record of constants.
         state_type: Type of the record of a cell's state, aligned or packed; truth values are ``u1``.
+        compared_ticks: Ticks in which the compiled step is compared with the same source in Python.
     """
 
+    compared_ticks: ClassVar[int] = COMPARED_TICKS
     constants_type: ClassVar[np.dtype[Any]] = np.dtype([("none", "u1")])
     state_type: ClassVar[np.dtype[Any]]
 
@@ -77,6 +79,10 @@ class ScalarProgram(ScalarFirmware):
         super().__init__(parameters)
         self._compared = 0
 
+    def step_function(self) -> Callable[[Any, Any, Any, Any], None]:
+        """Return the step: ``cell_step``, or another function for some parameters."""
+        return type(self).cell_step
+
     def is_compiled(self) -> bool:
         """Whether steps are compiled: unless the environment variable ``MDMS_PYTHON_STEPS`` is set."""
         return not os.environ.get(PYTHON)
@@ -88,7 +94,14 @@ class ScalarProgram(ScalarFirmware):
             FirmwareError: The step can't be compiled.
         """
         kind = type(self)
-        return _kernels(kind.cell_step, kind.constants_type, kind.state_type, self.message, self.random)
+        return _kernels(
+            self.step_function(),
+            kind.constants_type,
+            kind.state_type,
+            self.message,
+            self.random,
+            kind.compared_ticks,
+        )
 
     def run_rows(
         self,
@@ -103,22 +116,22 @@ class ScalarProgram(ScalarFirmware):
             FormsDiffer: The two forms came to different results.
         """
         if not self.is_compiled():
-            run_in_python(type(self).cell_step, constants, records, given, done)
+            run_in_python(self.step_function(), constants, records, given, done)
             return
-        if self._compared >= COMPARED_TICKS:
+        if self._compared >= self.compared_ticks:
             self.scalar_kernels().rows(constants, records, given, done)
             return
         count = min(len(records), _COMPARED_CELLS)
         checked = records[:count].copy(), given[:count].copy(), done[:count].copy()
         self.scalar_kernels().rows(constants, records, given, done)
-        run_in_python(type(self).cell_step, constants, *checked)
+        run_in_python(self.step_function(), constants, *checked)
         _compare("state", records[:count], checked[0])
         _compare("outputs", done[:count], checked[2])
         self._compared += 1  # not where they differ: then cells are stepped again, to find which
 
 
 def scalar_function(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator of a function that ``cell_step`` calls: compiled with it, and plain Python in Python."""
+    """Decorator of a function that ``cell_step`` calls, in any file: compiled with it, and plain Python in Python."""
     setattr(function, _MARK, True)
     return function
 
@@ -177,7 +190,7 @@ class _Kernels:
     MESSAGE: np.dtype[Any]
     tick: Any
     rows: Any
-    compared_ticks: int = COMPARED_TICKS
+    compared_ticks: int
 
 
 @cache
@@ -187,6 +200,7 @@ def _kernels(
     state: np.dtype[Any],
     message: np.dtype[Any] | None,
     random: tuple[str, ...],
+    compared_ticks: int,
 ) -> ScalarKernels:
     from cell_firmware.kernels.program import NO_MESSAGE
     from cell_firmware.kernels.shard import compiled_program
@@ -199,76 +213,83 @@ def _kernels(
     # a module of the package of kernels, whose cache on disk it shares
     module = ModuleType(f"cell_firmware.kernels.users.p{key.hexdigest()[:16]}")
     sys.modules[module.__name__] = module
-    names = {name: value for name, value in _globals(step).items() if not isinstance(value, FunctionType)}
-    for name, function in _helpers(step).items():
-        names[name] = compiled(_copy(function, module.__name__, names))
+    made: dict[FunctionType, Any] = {}
+    for function in _helpers(step):
+        made[function] = compiled(_copy(function, module.__name__, made))
     try:
         tick, rows = compiled_program(
-            module.__name__, compiled(_copy(step, module.__name__, names)), constants, state, sent, random
+            module.__name__, compiled(_copy(step, module.__name__, made)), constants, state, sent, random
         )
     except Exception as error:  # noqa: BLE001 - a compiler's errors are of many types
         raise FirmwareError(
             f"{step.__qualname__} can't be compiled: {_said(error)}; to run it as Python, set {PYTHON}=1"
         ) from None
-    return cast("ScalarKernels", _Kernels(constants, state, sent, tick, rows))
+    return cast("ScalarKernels", _Kernels(constants, state, sent, tick, rows, compared_ticks))
 
 
-def _copy(function: Callable[..., Any], module: str, names: dict[str, Any]) -> Callable[..., Any]:
-    """Return a function as one of another module, with globals of its own."""
+def _copy(function: Callable[..., Any], module: str, made: Mapping[FunctionType, Any]) -> Any:
+    """Return a function as one of another module, with globals of its own.
+
+    Args:
+        function: The function.
+        module: Name of the module.
+        made: Compiled functions, by the functions that they replace.
+    """
     plain = cast("FunctionType", function)
-    made = FunctionType(plain.__code__, names, plain.__name__, plain.__defaults__)
-    made.__module__, made.__qualname__ = module, f"{module.rpartition('.')[2]}.{plain.__name__}"
-    return made
+    names: dict[str, Any] = {
+        name: made.get(value) if isinstance(value, FunctionType) else value
+        for name, value in plain.__globals__.items()
+    }
+    copy = FunctionType(plain.__code__, names, plain.__name__, plain.__defaults__)
+    copy.__module__ = module
+    # functions of two files may have one name
+    place = plain.__module__.replace(".", "_")
+    copy.__qualname__ = f"{module.rpartition('.')[2]}.{place}.{plain.__name__}"
+    return copy
 
 
-def _globals(function: Callable[..., Any]) -> dict[str, Any]:
-    return dict(cast("FunctionType", function).__globals__)
-
-
-def _helpers(step: Callable[..., Any]) -> dict[str, FunctionType]:
-    """Return the functions that a step calls, by name, called ones first.
+def _helpers(step: Callable[..., Any]) -> tuple[FunctionType, ...]:
+    """Return the functions that a step calls, called ones first.
 
     Raises:
         FirmwareError: The step, or one of them, calls another Python function.
     """
-    found: dict[str, FunctionType] = {}
+    found: dict[FunctionType, None] = {}
 
     def visit(function: FunctionType) -> None:
         for name in function.__code__.co_names:
             value = function.__globals__.get(name)
-            if not isinstance(value, FunctionType) or name in found:
+            if not isinstance(value, FunctionType) or value in found:
                 continue
-            if (
-                not getattr(value, _MARK, False)
-                or value.__code__.co_filename != function.__code__.co_filename
-            ):
+            if not getattr(value, _MARK, False):
                 raise FirmwareError(
-                    f"{step.__qualname__} calls {name}: it may call functions of its own file that are decorated with "
-                    "scalar_function"
+                    f"{step.__qualname__} calls {name}: it may call functions that are decorated with scalar_function"
                 )
             visit(value)
-            found[name] = value
+            found[value] = None
 
     visit(cast("FunctionType", step))
-    return found
+    return tuple(found)
 
 
 def _text(step: Callable[..., Any]) -> str:
-    """Return the source of a step and of its helpers, and the file's constants that occur in them."""
-    functions = [cast("FunctionType", step), *_helpers(step).values()]
-    used = {name for function in functions for name in function.__code__.co_names}
-    constants: dict[str, str] = {
-        name: repr(cast("object", value))
-        for name, value in sorted(_globals(step).items())
-        if name in used and isinstance(value, (int, float, str, bool, tuple, np.generic))
-    }
-    try:
-        sources = [
-            ast.dump(ast.parse(textwrap.dedent(inspect.getsource(function)))) for function in functions
-        ]
-    except (OSError, TypeError, SyntaxError):
-        raise FirmwareError(f"{step.__qualname__} can't be compiled: its source is not in a file") from None
-    return "\0".join((*sources, repr(constants)))
+    """Return the source of a step and its helpers, and the constants of their files that occur in the source."""
+    texts: list[str] = []
+    for function in (cast("FunctionType", step), *_helpers(step)):
+        constants: dict[str, str] = {
+            name: repr(cast("object", value))
+            for name, value in sorted(function.__globals__.items())
+            if name in function.__code__.co_names
+            and isinstance(value, (int, float, str, bool, tuple, np.generic))
+        }
+        try:
+            source = ast.dump(ast.parse(textwrap.dedent(inspect.getsource(function))))
+        except (OSError, TypeError, SyntaxError):
+            raise FirmwareError(
+                f"{step.__qualname__} can't be compiled: its source is not in a file"
+            ) from None
+        texts += [source, repr(constants)]
+    return "\0".join(texts)
 
 
 def _said(error: Exception) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Literal, NamedTuple, Protocol, final
@@ -104,22 +104,20 @@ class WheelRun:
 
 def _exp(x: Floats) -> Floats:
     """Return the exponential of each element, from the C library as kernels have it (``bus.elementary`` tells why)."""
-    from plant.kernels.wheels import entry
-
-    return _of_each(entry.exp_of_each, x)
+    return _of_each("exp_of_each", x)
 
 
 def _expm1(x: Floats) -> Floats:
     """Return ``exp(x) - 1`` of each element, likewise."""
-    from plant.kernels.wheels import entry
-
-    return _of_each(entry.expm1_of_each, x)
+    return _of_each("expm1_of_each", x)
 
 
-def _of_each(kernel: Callable[[Floats, Floats], None], x: Floats) -> Floats:
+def _of_each(kernel: str, x: Floats) -> Floats:
+    from plant.kernels.wheels import entry  # loads numba: only where wheels lag
+
     values = np.ascontiguousarray(x)
     found = np.empty_like(values)
-    kernel(values.reshape(-1), found.reshape(-1))
+    getattr(entry, kernel)(values.reshape(-1), found.reshape(-1))
     return found
 
 

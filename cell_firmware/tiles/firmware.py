@@ -22,11 +22,11 @@ from cell_firmware.tiles.messages import (
     OPPOSITES,
     TALK,
     TileMode,
-    ahead_by,
     doing,
     exit_of,
     is_word,
     newest_words,
+    resumed,
     side,
     version,
     word,
@@ -218,7 +218,8 @@ class TileFirmware(Firmware):
         """Return the new word of the own tile where a cell leads; adds the leader's state to ``after``."""
         last = np.where(own > 0, own, state["last"])
         after["last"] = last
-        own = np.where(takes_over, ahead_by(last, _AFRESH), own)
+        leaving = state["exit"] == exit_of(last)
+        own = np.where(takes_over, resumed(last, leaving, _AFRESH), own)
         over = rounds.round_finished(state, after, leads)
         after["sure"] = np.where(takes_over, 0, after["sure"])
         full = after["sure"] > state["sure"]
@@ -252,8 +253,10 @@ class TileFirmware(Firmware):
         centring = np.clip(-np.array(self.parameters.gain_per_s) * state["offset_m"], -most, most)
         ahead = _AHEAD[side(own)]
         pushing = np.where(ahead != 0.0, most * ahead, centring)
-        carries = (does >= TileMode.EXPECT)[:, None]
-        pushes = (does == TileMode.PUSH) & ~refused(state, own, around)
+        yields = does == TileMode.YIELD
+        carries = ((does >= TileMode.EXPECT) & ~yields)[:, None]
+        taken = yields & (around.on(side(own)).doing >= TileMode.HOLD)
+        pushes = (does == TileMode.PUSH) & ~refused(state, own, around) | taken
         return np.where(pushes[:, None], pushing, np.where(carries, centring, 0.0))
 
     def _send(
@@ -288,5 +291,6 @@ def _under_its_parcel(state: State, inputs: Inputs, own: Ints) -> tuple[Bools, B
     sensed, own = np.asarray(inputs.presence.any(axis=1)), np.where(own > 0, own, state["last"])
     passed_by_mates = inbox.message["passed"] & state["mate"] & (side(own)[:, None] != OPPOSITES)
     gone = ~sensed & (state["here"] | passed_by_mates.any(axis=1))
-    passed = (doing(own) == TileMode.PUSH) & (state["passed"] | gone)
+    leaves = (doing(own) == TileMode.PUSH) | (doing(own) == TileMode.YIELD)
+    passed = leaves & (state["passed"] | gone)
     return sensed & ~passed, passed

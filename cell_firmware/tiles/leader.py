@@ -3,6 +3,10 @@
 Two tiles pass a parcel on in four steps, each repeated until the other tile has received it: A *wants*, B *expects*
 (with a ticket that names the granted request), A *pushes*, and once no cell of A senses the parcel, A is free; B then
 has the parcel. Words are repeated and their versions only grow, so that steps can be lost or late, but not mixed up.
+
+Where A's leader dies while A pushes, its heir *yields*: B, whose request of A no longer stands, takes the parcel if its
+cells sense it, else withdraws; only then A has the parcel, if A's cells sense it. A tile that takes a parcel back keeps
+the version of the granted request as its ticket, by which an heir of B learns that B is not to take it.
 """
 
 from __future__ import annotations
@@ -115,11 +119,18 @@ def decide(
     decision = _granted(decision, state, was == TileMode.FREE, vacant, around, ways, limit)
 
     lost = (was == TileMode.EXPECT) & (after["grace"] >= 1)
-    decision = decision.where(lost & occupied, mine, exit_, nothing)
-    decision = decision.where(lost & ~occupied, nothing + TileMode.FREE * 4, nothing, nothing)
+    takes = occupied & ~((partner.doing >= TileMode.HOLD) & (partner.ticket == ticket_))
+    decision = decision.where(lost & takes, mine, exit_, nothing)
+    decision = decision.where(lost & ~takes, nothing + TileMode.FREE * 4, nothing, nothing)
+
+    yields = was == TileMode.YIELD
+    awaits = (partner.doing == TileMode.EXPECT) & partner.faces & (partner.ticket == ticket_)
+    left = ~awaits & (partner.doing < TileMode.HOLD)
+    decision = decision.where(yields & vacant, nothing + TileMode.FREE * 4, nothing, nothing)
+    decision = decision.where(yields & sure & occupied & left, mine, exit_, ticket_)
 
     decision = decision.where(
-        (was == TileMode.HOLD) | (was == TileMode.WANT) & after["ended"], mine, exit_, nothing
+        (was == TileMode.HOLD) | (was == TileMode.WANT) & after["ended"], mine, exit_, ticket_
     )
     steady = (state["held"] >= state["settle"]) | (state["came"] == OPPOSITES[at])
     promised = (partner.doing == TileMode.EXPECT) & partner.faces & (partner.ticket == version(own))
@@ -127,13 +138,11 @@ def decide(
     decision = decision.where(goes, TileMode.PUSH * 4 + at, exit_, nothing)
 
     stopped = (was == TileMode.PUSH) & (after["grace"] >= 1) & occupied
-    decision = decision.where(stopped, mine, exit_, nothing)
+    decision = decision.where(stopped, mine, exit_, version(own) - 1 & MASK_16)
     decision = decision.where((was == TileMode.PUSH) & vacant, nothing + TileMode.FREE * 4, nothing, nothing)
 
     open_ = np.bitwise_count(after["members"].astype(np.uint64)) >= after["least"]
-    keeps = (
-        (was == TileMode.HOLD) | (was == TileMode.WANT) | (was == TileMode.PUSH) | (was == TileMode.CLOSED)
-    )
+    keeps = (was >= TileMode.YIELD) | (was == TileMode.CLOSED)
     return decision.where(~open_, nothing, np.where(keeps, exit_, 0), nothing)
 
 

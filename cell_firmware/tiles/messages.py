@@ -53,11 +53,13 @@ class TileMode(IntEnum):
     FREE = 1
     EXPECT = 2
     """Reserved for the parcel of the tile on its side."""
-    HOLD = 3
+    YIELD = 3
+    """Was carrying a parcel over its side when its leader died: the tile there says who has it."""
+    HOLD = 4
     """Has a parcel and knows no way for it."""
-    WANT = 4
+    WANT = 5
     """Has a parcel, and asks the tile on its side to take it."""
-    PUSH = 5
+    PUSH = 6
     """Carries its parcel over its side."""
 
 
@@ -75,6 +77,23 @@ def ahead_by(words: Ints, versions: int) -> Ints:
     """Return the words with the version increased by ``versions``."""
     below = (1 << _VERSION) - 1
     return (version(words) + versions & MASK_16) << _VERSION | words & below
+
+
+def resumed(words: Ints, leaving: Bools, versions: int) -> Ints:
+    """Return the words with which new leaders go on: the last words, with the version increased by ``versions``.
+
+    A tile that was carrying its parcel over to another yields, with the version of its granted request as its ticket.
+
+    Args:
+        words: Last known words of the tiles.
+        leaving: Whether the tile's parcel leaves the array: no other tile takes it.
+        versions: Versions that are skipped.
+    """
+    mode, low = 63 << 26, MASK_16
+    request = version(words) - 1 & MASK_16
+    yields = (doing(words) == TileMode.PUSH) & ~leaving
+    words = np.where(yields, words & ~(mode | low) | int(TileMode.YIELD) << 26 | request, words)
+    return ahead_by(words, versions)
 
 
 def is_word(words: Ints) -> Bools:

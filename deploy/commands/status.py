@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 from typing import Annotated, Any
 
 import typer
@@ -31,10 +32,11 @@ def status(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Print who takes part in a run, its tick and lag, and who is lost; by default of the newest run below runs/.
+    """Print who takes part in a run, its tick and lag, and who is lost.
 
-    The run answers at any time: while it waits for cells, and in the middle of a tick. Exit status 0: the plant
-    answers, and nobody is missing; 1: somebody is missing or lost, or no plant answers. It serves as a probe.
+    By default it asks the newest run below runs/, or else whoever listens where mdms plant does. The run answers at any
+    time: while it waits for cells, and in the middle of a tick. Exit status 0: the plant answers, and nobody is
+    missing; 1: somebody is missing or lost, or no plant answers. It serves as a probe.
 
     The newest run on this host; a plant or a router elsewhere; as a probe, after two seconds:
 
@@ -46,7 +48,7 @@ def status(
     from deploy.errors import DeployError, InputError
 
     try:
-        endpoint, name = target_of(connect, run)
+        endpoint, name = _target(connect, run)
         found = ask_status(endpoint, name, timeout, keys)
     except InputError as error:
         raise DeployError(str(error)) from None  # for a probe: exit status 1
@@ -56,6 +58,28 @@ def status(
         _print(found, listed=processes)
     if found["missing"]:
         raise typer.Exit(1)
+
+
+def _target(connect: str | None, run: str | None) -> tuple[str, str]:
+    """Return endpoint and name of the run to ask."""
+    from deploy.commands.plant import default_endpoint
+    from deploy.control.client import ANY_RUN
+    from deploy.errors import InputError
+
+    try:
+        return target_of(connect, run)
+    except InputError:
+        if connect is not None or run is not None or not _listens(default_endpoint(None)):
+            raise
+    return default_endpoint(None), ANY_RUN
+
+
+def _listens(endpoint: str) -> bool:
+    """Whether anybody listens at a TCP endpoint of this host."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    with socket.socket() as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex((host, int(port))) == 0
 
 
 def _print(found: dict[str, Any], *, listed: bool) -> None:

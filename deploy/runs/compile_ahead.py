@@ -12,7 +12,7 @@ from deploy.runs.compilation import compilation_reported
 from deploy.runs.setup import load_plant
 from deploy.scenes.scene import Scene
 from deploy.util.formatting import silent
-from deploy.workers.worker import kernels_of
+from deploy.workers.worker import compile_program, kernels_of
 
 if TYPE_CHECKING:
     from plant.plant import Plant
@@ -41,6 +41,7 @@ def compile_scene(scene: Scene, say: Callable[[str], None]) -> int:
     with compilation_reported(scene.solver.name, say) as entries:
         for module in kernels_of(scene):
             importlib.import_module(module)
+        compile_program(scene)
         plant = load_plant(scene, silent)
         _advance(plant, 1)
         if scene.effects.parcel_contact is not None:

@@ -9,6 +9,7 @@ from inspect import getsourcefile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from bus import elementary
 from deploy.util.files import versions
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def fingerprint(scene: Scene) -> dict[str, str]:
 
     return {
         **versions(),
+        "elementary functions": elementary.fingerprint(),
         "the plant's kernels": key(),
         "the scene": sha256(scene.canonical()).hexdigest(),
         "the cells' program": _program(scene),
@@ -48,6 +50,7 @@ def cells_fingerprint(scene: Scene) -> dict[str, str]:
     return {
         **{name: found[name] for name in _OF_CELLS},
         "processor level": " ".join(level()).strip(),
+        "elementary functions": elementary.fingerprint(),
         "the scene": sha256(scene.canonical()).hexdigest(),
         "the cells' program": _program(scene),
     }

@@ -22,6 +22,7 @@ from deploy.workers.worker import (
     ResumePoint,
     WorkerConfig,
     cell_faults,
+    compile_program,
     make_controller,
     modules_of,
     open_session,
@@ -92,6 +93,8 @@ class System:
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
         forked = plan.workers > 0 and not plan.external
         self._processes = WorkerProcesses(plan, modules_of(scene)) if forked else None
+        if forked:
+            compile_program(scene)  # once, and before deadlines: workers load it from disk
         self._cluster = _connected(plan, options)
         self._external: ExternalWorkers | None = None
         self._presence: Presence | None = None

@@ -329,6 +329,16 @@ def modules_of(scene: Scene) -> tuple[str, ...]:
     return kernels_of(scene) if program is None else (*kernels_of(scene), program.partition(":")[0])
 
 
+def compile_program(scene: Scene) -> None:
+    """Compile the step of a scene's cells, or load it from disk, where it is a scalar program: others then load it."""
+    from cell_firmware.loader import load
+    from cell_firmware.scalar_program import ScalarProgram
+
+    program = load(scene.cells)
+    if isinstance(program, ScalarProgram) and program.is_compiled():
+        program.scalar_kernels()
+
+
 def cell_faults(scene: Scene) -> CellFaults | None:
     """Return the faults of a scene that act in the cells; None without such faults."""
     injected = of_cells(in_run_faults(scene))

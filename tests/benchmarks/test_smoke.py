@@ -111,6 +111,7 @@ SCRIPTS: dict[str, Smoke] = {
     "protocols/align_sweep.py": Smoke("--quick", rf"camera +{N} +{N} +{N} +{N}%"),
     "protocols/hops_over_bad_links.py": Smoke("--seeds 1", rf"clocks off by up to 5 % +8 +{N} +{N} +{N}"),
     "protocols/junction.py": Smoke("--parcels 8 --gaps 2 --seconds 5", rf"1 +2\.00 +{N} +2\.00 +{N}"),
+    "protocols/kit_over_seeds.py": Smoke("--seeds 2", rf"apart by 1; {N} to {N} rounds in {N} ticks"),
     "protocols/lab_speed.py": Smoke(
         "--side 3 --ticks 20 --turns 1 --depth 3", rf"search of 2 x 3 cells: {N} states, .* {N} states/s"
     ),

@@ -21,6 +21,7 @@ from cell_firmware.specs import CellsSpec
 PROGRAM = """
 import numpy as np
 from mdms import ScalarProgram, scalar_function
+from mdms.kit import aged
 
 FADE = 0.75
 
@@ -31,14 +32,15 @@ def faded(value):
 class Spread(ScalarProgram):
     message = np.dtype([("u", "<f8"), ("here", "?")])
     constants_type = np.dtype([("gain", "<f8")])
-    state_type = np.dtype([("u", "<f8"), ("count", "<i2"), ("seen", "u1")])
+    state_type = np.dtype([("u", "<f8"), ("count", "<i2"), ("seen", "u1"), ("valid", "<i8")])
 
     def constants(self):
         return {"gain": 0.2}
 
     def init(self, cells):
         n = len(cells)
-        return {"u": 0.1 * cells.row, "count": np.zeros(n, np.int16), "seen": np.zeros(n, np.bool_)}
+        return {"u": 0.1 * cells.row, "count": np.zeros(n, np.int16), "seen": np.zeros(n, np.bool_),
+                "valid": np.zeros(n, np.int64)}
 
     @staticmethod
     def cell_step(constants, state, inputs, outputs):
@@ -48,13 +50,14 @@ class Spread(ScalarProgram):
                 total += inputs.message[side].u - state.u
                 if inputs.message[side].here:
                     state.seen = 1
+        state.valid = aged(inputs.received[1] != 0, state.valid, 3)
         state.u = faded(state.u + constants.gain * total)
         state.count = state.count + STEP
         for side in range(4):
             outputs.sent[side] = 1
             outputs.message[side].u = state.u
             outputs.message[side].here = inputs.presence[0] != 0
-        outputs.speed_m_s[0], outputs.speed_m_s[1] = state.u, 0.5 * state.seen
+        outputs.speed_m_s[0], outputs.speed_m_s[1] = state.u, 0.5 * state.seen + state.valid
 """
 
 
@@ -139,7 +142,7 @@ class Elsewhere(ScalarProgram):
 
 def test_a_step_that_calls_what_can_t_be_compiled_with_it_is_refused_by_name() -> None:
     with pytest.raises(
-        FirmwareError, match=r"Elsewhere\.cell_step calls run_in_python: it may call functions of its"
+        FirmwareError, match=r"Elsewhere\.cell_step calls run_in_python: it may call functions that are"
     ):
         load(CellsSpec(firmware=f"{__name__}:Elsewhere"))
 

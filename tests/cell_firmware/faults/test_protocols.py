@@ -11,6 +11,7 @@ import pytest
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.loader import BUNDLED, load
+from cell_firmware.scalar_program import PYTHON, ScalarProgram
 from cell_firmware.specs import CellsSpec
 from tests.cell_firmware.faults.instances import instances
 
@@ -31,6 +32,10 @@ PARAMETERS: dict[str, dict[str, Any]] = {
     "parcel_estimate": {"size_m": (0.3, 0.2), "target_m": (0.5, 0.4)},
     "reserve_path": TILES,
     "route": TILES,
+    "distance2_slots": {},
+    "push_sum": {"values": ({**LEFT, "value": 1.0},), "velocity_m_s": (0.1, 0.0)},
+    "spanning_tree": {"roots": ({"cell": (3, 3)},), "speed_m_s": 0.1},
+    "synchroniser": {"values": ({**LEFT, "value": 1.0},), "velocity_m_s": (0.1, 0.0)},
     "stream": {"sources": ({**LEFT, "flow_m2_s": 0.02}, {**RIGHT, "flow_m2_s": -0.02})},
     "hanging_field": {**FIELD, "cells": (), "after_periods": 10},
     "velocity_field": FIELD,
@@ -55,15 +60,17 @@ HOSTILE: tuple[dict[str, Any], ...] = (
 
 @pytest.mark.parametrize("name", sorted(BUNDLED))
 def test_a_bundled_protocol_survives_links_that_do_all_that_links_can_do(
-    name: str, grid: Callable[..., Lattice], lockstep: Any
+    name: str, grid: Callable[..., Lattice], lockstep: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lattice = grid(ROWS, COLUMNS)
+    monkeypatch.setenv(PYTHON, "1")  # scalar programs: no test of this folder waits for a compiler
     firmware = load(CellsSpec(firmware=name, parameters=PARAMETERS[name]))
+    slow = isinstance(firmware, ScalarProgram)
+    lattice, ticks = (grid(6, 10), 56) if slow else (grid(ROWS, COLUMNS), TICKS)
     firmware.check(lattice)
-    faults = instances(lattice, *HOSTILE, end=90)
+    faults = instances(lattice, *HOSTILE, end=3 * ticks // 4)
     steps = lockstep(firmware, Partition.even(lattice, 1), seed=4, faults=faults)
     place = np.stack((lattice.columns, lattice.rows), axis=1) * 0.1
-    for tick in range(TICKS):
+    for tick in range(ticks):
         near = np.hypot(*(place - (0.3 + 0.001 * tick, 0.3)).T) < 0.15
         drive = steps.step(near[:, None])
         assert steps.failures == [], (tick, steps.failures[0].problem)

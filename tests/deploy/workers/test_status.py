@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+import socket
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from deploy.commands.status import _target  # pyright: ignore[reportPrivateUsage]
+from deploy.control.client import ANY_RUN
+from deploy.errors import InputError
 from deploy.scenes.files import load_scene
 from deploy.workers import status
 from deploy.workers.join import request_of
@@ -60,3 +65,14 @@ def test_a_tick_that_does_not_end_names_what_it_waits_for_unless_the_run_is_paus
     assert (late["waits_s"], late["waits_for"]) == (2.0, [1])
     asked.progress = lambda: RunProgress(5, 0.1, {**FLOW, "state": "paused"}, [], [1])
     assert asked.state()["waits_for"] == []
+
+
+def test_without_a_run_below_the_folder_whoever_listens_by_hand_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        monkeypatch.setattr("deploy.commands.plant.DEFAULT_PORT", server.getsockname()[1])
+        assert _target(None, None) == (f"tcp/127.0.0.1:{server.getsockname()[1]}", ANY_RUN)
+    with pytest.raises(InputError, match="no run is in progress below runs/"):
+        _target(None, None)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell_firmware.tiles.messages import ahead_by
 from deploy.lab.lab import Lab
 from deploy.studies.adversary.check import world_of
 from deploy.studies.adversary.search import SearchResult, search
@@ -24,6 +25,9 @@ from tests.deploy.studies.adversary.tile_parcel import (
 RESERVATION = (18, 74)
 """Ticks from the first decision about the parcel to the end of the reservation, in the run without faults."""
 
+HEIR_TICKS = 70
+"""Ticks after a death in which the heir takes over and decides."""
+
 
 def _lab(firmware: type, **options: Any) -> Lab:
     return Lab(firmware, (SIDE, 2 * SIDE), parameters=parameters(2), period_s=PERIOD_S, check=None, **options)
@@ -34,9 +38,9 @@ def _world(firmware: type, adversary: Adversary) -> World:
     return world_of(lab.scene, adversary, environment=ParcelOverTiles(lab.lattice))
 
 
-def _searched(firmware: type, *kinds: Kind) -> SearchResult:
+def _searched(firmware: type, *kinds: Kind, tail_ticks: int = 20) -> SearchResult:
     first, end = RESERVATION
-    adversary = Adversary(1, end, kinds, delays=(2,), first_tick=first, tail_ticks=20)
+    adversary = Adversary(1, end, kinds, delays=(2,), first_tick=first, tail_ticks=tail_ticks)
     return search(_world(firmware, adversary), limit_s=90.0)
 
 
@@ -68,10 +72,30 @@ def test_a_tile_that_takes_a_parcel_too_early_is_found() -> None:
 
 
 @pytest.mark.slow
-def test_a_leader_that_dies_while_its_tile_passes_the_parcel_on_leaves_two_claims() -> None:
-    """A limitation of ``reserve_path``: the heir resumes the last word after the other tile has taken over."""
-    result = _searched(OneParcel, "death")
+@pytest.mark.parametrize("first", range(*RESERVATION, 14))
+def test_with_one_death_anywhere_no_parcel_is_in_two_reservations(first: int) -> None:
+    end = min(first + 14, RESERVATION[1])
+    adversary = Adversary(1, end, ("death",), first_tick=first, tail_ticks=HEIR_TICKS)
+    result = search(_world(OneParcel, adversary), limit_s=110.0)
+    assert (result.violation, result.unexplored, result.ticks) == (None, 0, end)
+    assert result.states > 5_000
+
+
+class HeirsResume(OneParcel):
+    """Mutant: the heir of a leader that was pushing goes on with its last word."""
+
+    def _lead(self, state: Any, after: Any, own: Any, around: Any, way: Any, *others: Any) -> Any:
+        leads, takes_over, *rest = others
+        last = ahead_by(np.where(own > 0, own, state["last"]), 16)
+        own = np.where(takes_over, last, own)
+        return super()._lead(state, after, own, around, way, leads, np.zeros_like(takes_over), *rest)
+
+
+@pytest.mark.slow
+def test_an_heir_that_resumes_is_found() -> None:
+    result = _searched(HeirsResume, "death", tail_ticks=HEIR_TICKS)
     assert result.violation is not None
+    assert result.violation.rule == "a parcel is in one reservation at most"
     assert result.schedule is not None
-    ((tick, act),) = result.schedule
-    assert (tick, act.kind, act.place) == (26, "death", 7)
+    ((_, act),) = result.schedule
+    assert act.kind == "death"
