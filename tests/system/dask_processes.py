@@ -53,6 +53,13 @@ class Dask:
         self.workers.append(worker)
         return worker
 
+    def wait(self) -> None:
+        """Wait until the scheduler knows all workers."""
+        from deploy.workers.cluster import DaskCluster
+
+        with DaskCluster(self.address, 1) as cluster:
+            cluster.client.wait_for_workers(len(self.workers), PATIENCE_S)
+
     def _start(
         self, role: str, *arguments: str, environment: Mapping[str, str] | None = None
     ) -> subprocess.Popen[bytes]:
@@ -77,12 +84,13 @@ class Dask:
 
 @contextmanager
 def dask_cluster(folder: Path, workers: int, options: tuple[str, ...] = ()) -> Iterator[Dask]:
-    """A cluster with so many workers, which may still be on their way."""
+    """A cluster with so many workers."""
     cluster = Dask(folder, options)
     try:
         cluster.begin()
         for _ in range(workers):
             cluster.add_worker()
+        cluster.wait()
         yield cluster
     finally:
         cluster.end()

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from deploy.cli import main
-from deploy.workers.cluster import DaskCluster
 from tests.system.dask_processes import Dask, credentials, dask_cluster
 from tests.system.running import Mdms, is_alive, summary_of
 from tests.system.small import small_scene
@@ -112,25 +111,21 @@ def test_a_killed_worker_costs_its_runs_in_flight_and_nothing_is_done_twice(
     victim = dask.workers.pop()
     victim.kill()
     victim.wait()
-    running.wait_for(lambda: journal.read_bytes().count(b"\n") > 2 * SEEDS, "two thirds were over", 60.0)
-    running.process.send_signal(signal.SIGINT)
-    status, _, stderr = running.end()
-    assert status == 130, stderr
+    status, _, stderr = running.end(60.0)
+    assert status == 0, stderr
     assert f"Dask scheduler {dask.address}, 2 workers, dashboard http://127.0.0.1:" in stderr
-    done = journal.read_bytes()
-    over = done.count(b"\n")
-    assert over < 3 * SEEDS
-    # the victim's run, one of whose end nobody heard, and two of the other worker's at the interruption
-    assert begun(scene) - before - over <= 4
-
-    before = begun(scene)
-    dask.add_worker()
-    assert main(["campaign", "--resume", str(folder), "--cluster", dask.address, "--quiet"]) == 0
-    assert begun(scene) - before == 3 * SEEDS - over
-    assert journal.read_bytes().startswith(done)
+    # the victim's run, and one whose end nobody had heard of
+    assert begun(scene) - before - 3 * SEEDS <= 2
     assert digests(folder) == digests(whole)
     for name in LEFT:
         assert (folder / name).read_bytes() == (whole / name).read_bytes()
+
+    dask.add_worker()
+    dask.wait()
+    before, done = begun(scene), journal.read_bytes()
+    assert main(["campaign", "--resume", str(folder), "--cluster", dask.address, "--quiet"]) == 0
+    assert begun(scene) == before
+    assert journal.read_bytes() == done
 
 
 def test_without_credentials_nobody_uses_the_cluster(
@@ -149,8 +144,7 @@ def test_a_worker_that_would_have_other_bits_is_refused_by_name(
     scene: Path, dask: Dask, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = dask.add_worker({"NUMBA_CPU_NAME": "generic"})
-    with DaskCluster(dask.address, 1) as cluster:
-        cluster.client.wait_for_workers(3, 60.0)
+    dask.wait()
     output = ("--output", str(tmp_path / "out"), "--cluster", dask.address)
     assert main(["campaign", str(scene), *ASKED, *VARIED, *output]) == 2
     said = capsys.readouterr().err
@@ -178,7 +172,10 @@ def test_an_interrupted_campaign_on_a_cluster_of_its_own_leaves_nothing_and_list
     assert status == 130, stderr
     assert "Traceback" not in stderr
     assert "dashboard http://127.0.0.1:" in stderr
+    before, done = begun(scene), journal.read_bytes()
     assert main(["campaign", "--resume", str(folder), "--quiet"]) == 0
+    assert begun(scene) - before == 3 * SEEDS - done.count(b"\n")
+    assert journal.read_bytes().startswith(done)
     assert digests(folder) == digests(whole)
 
 
@@ -236,8 +233,7 @@ def test_a_run_whose_dask_worker_is_killed_resumes_to_the_digest_of_one_process(
     assert 0 < summary_of(stdout)["ticks"] < whole["ticks"]
 
     dask.add_worker()
-    with DaskCluster(dask.address, 1) as cluster:
-        cluster.client.wait_for_workers(2, 60.0)
+    dask.wait()
     resumed = ran(["--resume", folder, "--cluster", dask.address], capsys)
     assert resumed["resumed"]
     assert (resumed["digest"], resumed["ticks"]) == (whole["digest"], whole["ticks"])

@@ -101,7 +101,6 @@ class ClusterExecutor:
         exhausted = False
         try:
             while running or not exhausted:
-                self._poll()
                 self._count()
                 if not exhausted and len(running) <= _LEAST * self._threads:
                     wanted = _MOST * self._threads - len(running)
@@ -119,6 +118,7 @@ class ClusterExecutor:
                 for future, result in batch:
                     place, _ = running.pop(future.key)
                     yield place, record_of(future, result, self._cluster.address)
+                self._poll()
         finally:
             if running:
                 self._cancel([future for _, future in running.values()])
