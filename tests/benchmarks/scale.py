@@ -82,7 +82,7 @@ class Model:
         return {
             "plant": p,
             "shards": c,
-            "round trip": (p + c + trip_s) / (ahead + 1),
+            "all in turn": (p + c + trip_s) / (ahead + 1),
             "plant's link": BYTES * cells / bytes_per_s,
         }
 
@@ -200,19 +200,19 @@ def draw(model: Model, path: Path) -> None:
     """Draw ticks a second over cells."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.5, 4.5), layout="constrained")
+    figure = Figure(figsize=(8.5, 4.2), layout="constrained")
     axes = figure.subplots()
     cells = np.logspace(2, 6, 200)
     for hosts, style in ((1, ":"), (10, "--"), (100, "-")):
         for trip_s, ahead, colour in ((0.0005, 0, "C0"), (0.0005, 9, "C2"), (0.04, 0, "C3"), (0.04, 9, "C1")):
             rate = [model.rate(n, 2 * hosts, 0.0 if hosts == 1 else trip_s, ahead) for n in cells]
             if hosts > 1 or colour == "C0":
-                label = f"{hosts} hosts, T = {trip_s * 1e3:g} ms, k = {ahead}" if hosts > 1 else "1 host"
+                label = f"{hosts} hosts, T = {trip_s * 1e3:g} ms, λ = {ahead}" if hosts > 1 else "1 host"
                 axes.plot(cells, rate, style, color="0.3" if hosts == 1 else colour, label=label)
     axes.axhline(1.0 / 0.004096, color="0.6", linewidth=0.8)
     axes.text(110, 1.08 / 0.004096, "real time", fontsize=8, color="0.4")
     axes.set(xscale="log", yscale="log", xlabel="cells", ylabel="ticks per second")
-    axes.legend(fontsize=7, loc="lower left")
+    figure.legend(fontsize=7, loc="outside right upper")
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=120)
 
