@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, cast, final
+from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus.lattice import SIDES, Lattice
 from bus.sensors import CameraFrame
@@ -20,22 +19,17 @@ from cell_firmware.firmware import (
     Cells,
     Firmware,
     Floats,
-    Inbox,
     Inputs,
     Messages,
-    Outbox,
     Outputs,
     State,
 )
 from cell_firmware.firmware_files import modules_beside
-from cell_firmware.message_values import bounds, misfit
+from cell_firmware.plain_messages import Message, PlainMessages, Sent
 from cell_firmware.plain_registers import registers_of, unrecorded
 from cell_firmware.program import Program, Theory
 from cell_firmware.random_draws import NO_DRAWS, Draws, no_draws
 from cell_firmware.stepping import NOW
-
-Message = Mapping[str, Any]
-"""One message: values by field name, as the firmware's message type declares them."""
 
 
 @final
@@ -151,7 +145,7 @@ class PerCellAdapter(Firmware):
         self.observable = firmware.observable  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self.message = firmware.message  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
         self.random = firmware.random  # pyright: ignore[reportIncompatibleVariableOverride, reportAttributeAccessIssue]
-        self._fields = {} if self.message is None else _fields_of(self.message)
+        self._messages = None if self.message is None else PlainMessages(self.message)
 
     @property
     def author(self) -> Program:
@@ -217,11 +211,13 @@ class PerCellAdapter(Firmware):
         n = len(inputs.presence)
         states = state["cell"].copy()
         speeds: list[tuple[float, float]] = []
-        sent = _Sent(self.firmware.message, self._fields)
+        sent = Sent(self._messages)
         failed: dict[int, str] = {}
         unserved: list[int] = []
         step = self.firmware.step
-        for i, (before, own) in enumerate(zip(states.tolist(), _each_inputs(inputs), strict=True)):
+        for i, (before, own) in enumerate(
+            zip(states.tolist(), _each_inputs(inputs, self._messages), strict=True)
+        ):
             speed, NOW.index = _STANDS, i  # the index names the cell in what it prints
             try:
                 states[i], outputs = _pair(step(before, own))
@@ -274,10 +270,11 @@ def _cell(cells: Cells, i: int) -> Cell:
 
 def cell_inputs(inputs: Inputs, i: int) -> CellInputs:
     """Return the inputs of one of n cells as plain values."""
-    return next(iter(_each_inputs(inputs.select(np.array([i])))))
+    messages = None if inputs.inbox is None else PlainMessages(inputs.inbox.message.dtype)
+    return next(iter(_each_inputs(inputs.select(np.array([i])), messages)))
 
 
-def _each_inputs(inputs: Inputs) -> Iterator[CellInputs]:
+def _each_inputs(inputs: Inputs, messages: PlainMessages | None) -> Iterator[CellInputs]:
     """Yield the inputs of each cell in plain values, converted all at once."""
     n = len(inputs.presence)
     nothing: list[None] = [None] * n
@@ -286,7 +283,10 @@ def _each_inputs(inputs: Inputs) -> Iterator[CellInputs]:
     presences: Iterable[Any] = map(tuple, inputs.presence.tolist())
     inboxes: Iterable[dict[str, Message | None]]
     labels = nothing if inputs.label is None else inputs.label.tolist()
-    inboxes = (dict.fromkeys(SIDES) for _ in nothing) if inputs.inbox is None else _inboxes(inputs.inbox)
+    if inputs.inbox is None or messages is None:
+        inboxes = (dict.fromkeys(SIDES) for _ in nothing)
+    else:
+        inboxes = messages.inboxes(inputs.inbox)
     for presence, encoder, inbox, level, label, random in zip(
         presences, encoders, inboxes, levels, labels, _randoms(inputs.random, n), strict=True
     ):
@@ -311,30 +311,6 @@ def _picture(picture: CameraFrame) -> dict[int, tuple[float, float, float]]:
         parcel: (x, y, angle)
         for parcel, (x, y, angle) in zip(picture.parcel.tolist(), picture.pose.tolist(), strict=True)
     }
-
-
-def _inboxes(inbox: Inbox) -> Iterator[dict[str, Message | None]]:
-    """Yield the inbox of each cell by side."""
-    names: tuple[str, ...] = inbox.message.dtype.names or ()
-    north, east, south, west = SIDES
-    rows = zip(inbox.received.tolist(), inbox.message.tolist(), strict=True)
-    if len(names) == 1:
-        (name,) = names
-        for (n, e, s, w), ((to_n,), (to_e,), (to_s,), (to_w,)) in rows:
-            yield {
-                north: {name: to_n} if n else None,
-                east: {name: to_e} if e else None,
-                south: {name: to_s} if s else None,
-                west: {name: to_w} if w else None,
-            }
-        return
-    for (n, e, s, w), (to_n, to_e, to_s, to_w) in rows:
-        yield {
-            north: dict(zip(names, to_n, strict=True)) if n else None,
-            east: dict(zip(names, to_e, strict=True)) if e else None,
-            south: dict(zip(names, to_s, strict=True)) if s else None,
-            west: dict(zip(names, to_w, strict=True)) if w else None,
-        }
 
 
 def _pair(result: Any) -> tuple[Any, CellOutputs]:
@@ -363,121 +339,3 @@ def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
         raise TypeError(f"speed_m_s must be two numbers, not {type(value).__name__} {value!r}")  # pyright: ignore[reportUnknownArgumentType]
     return float(value)  # pyright: ignore[reportUnknownArgumentType]
-
-
-@final
-class _Sent:
-    """Messages of all cells in a tick, put into an outbox at once.
-
-    Args:
-        message: Type of the messages; None: the program has none.
-        fields: Fields of that type by name.
-    """
-
-    def __init__(self, message: np.dtype[Any] | None, fields: Mapping[str, _MessageField]) -> None:
-        self._type = message
-        self._fields = fields
-        self._slots: list[int] = []
-        self._values: list[tuple[Any, ...]] = []
-
-    def add(self, cell: int, messages: Mapping[str, Message | None]) -> None:
-        """Add the messages of a cell.
-
-        Raises:
-            MessageValueError: A value doesn't fit its field.
-        """
-        if not messages.keys() <= _SIDE_NUMBERS.keys():
-            side = next(one for one in messages if one not in _SIDE_NUMBERS)
-            raise ValueError(f"outbox has a side {side!r}; sides are {', '.join(SIDES)}")
-        last: Message | None = None
-        values: tuple[Any, ...] = ()
-        slots: list[int] = []
-        sent: list[tuple[Any, ...]] = []
-        for side, number in _SIDE_NUMBERS.items():
-            message = messages.get(side)
-            if message is None:
-                continue
-            if self._type is None:
-                raise ValueError("outbox holds a message, but the firmware declares no message type")
-            if message is not last:  # most programs send the same to all sides
-                _check_values(message, side, self._fields)
-                values, last = tuple([message[name] for name in self._fields]), message
-            slots.append(4 * cell + number)
-            sent.append(values)
-        self._slots += slots
-        self._values += sent
-
-    def outbox(self, n: int) -> Outbox | None:
-        """Return the outbox of n cells; None for programs without messages."""
-        if self._type is None:
-            return None
-        outbox = Outbox.empty(n, self._type)
-        if self._slots:
-            outbox.sent.reshape(-1)[self._slots] = True
-            outbox.message.reshape(-1)[self._slots] = np.array(self._values, dtype=self._type)
-        return outbox
-
-
-_SIDE_NUMBERS: Final = {side: number for number, side in enumerate(SIDES)}
-
-
-def _check_values(message: Message, side: str, fields: Mapping[str, _MessageField]) -> None:
-    if message.keys() != fields.keys():
-        raise ValueError(f"message to the {side} has fields {sorted(message)}; its type has {sorted(fields)}")
-    for name, its in fields.items():
-        if not its.fits(message[name]):
-            number = _number_of(message[name])
-            raise MessageValueError(misfit(name, side, message[name] if number is None else number, its.type))
-
-
-class _MessageField(NamedTuple):
-    """A field of a message type.
-
-    Attributes:
-        type: Its wire type.
-        fits: Whether it can carry a value of plain firmware: a number or a truth value, in range and finite.
-    """
-
-    type: np.dtype[Any]
-    fits: Callable[[Any], bool]
-
-
-def _fields_of(message: np.dtype[Any]) -> dict[str, _MessageField]:
-    """The fields of a message type by name."""
-    return {name: _MessageField(message[name], _fitting(message[name])) for name in message.names or ()}
-
-
-def _fitting(field: np.dtype[Any]) -> Callable[[Any], bool]:
-    if field.kind == "f":
-        limits = np.finfo(field)
-        # half a step beyond the greatest: from there on a number is rounded to infinity
-        beyond = float(limits.max) + 2.0 ** (limits.maxexp - limits.nmant - 2)
-        return lambda value: (number := _float(value)) is not None and -beyond < number < beyond
-    if field.kind == "b":
-        return lambda value: _number_of(value) in (0, 1)
-    low, high = bounds(field)
-
-    def whole(value: Any) -> bool:
-        number = _number_of(value)
-        return number is not None and low <= number <= high and (type(number) is int or number == number // 1)
-
-    return whole
-
-
-def _number_of(value: Any) -> Any:
-    """The value as a number; None for anything else."""
-    kind = cast("type[object]", type(value))
-    if kind is float or kind is int or kind is bool:
-        return value
-    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
-        scalar = cast("NDArray[Any]", value)
-        return scalar.item() if scalar.dtype.kind in "biuf" else None
-    return value if isinstance(value, int | float) else None
-
-
-def _float(value: Any) -> float | None:
-    number = _number_of(value)
-    try:
-        return None if number is None else float(number)
-    except OverflowError:
-        return None

@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.wire.frames import check_message
+from bus.wire.message_type import check_message
 from cell_firmware.board import LINKS, METER, PROGRAM, WHEELS, Board, has_kernels
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime
 from cell_firmware.effects.clock.wrapper import LocalClockWrapper, in_tick

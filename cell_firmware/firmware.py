@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, final
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from bus.lattice import SIDES, Lattice
 from bus.sensors import CameraFrame, Labels
-from cell_firmware.message_values import misfit
+from bus.wire.message_type import Leaf, bounded_lists, clear_tails, leaves
+from cell_firmware.message_values import misfit, values_of
 from cell_firmware.program import Program
 from cell_firmware.random_draws import Draws, no_draws
 
@@ -224,28 +225,44 @@ class Outbox:
             The outbox of the wire type; by cell that sends what doesn't fit, the problem.
         """
         drafts, fixed = self.message, self.message
+        if bounded_lists(message):
+            drafts = fixed = drafts.copy()
+            clear_tails(drafts, message)
         if drafts.dtype != message:
             fixed = np.empty(drafts.shape, dtype=message)
             with np.errstate(all="ignore"):
-                for name in message.names or ():
-                    fixed[name] = drafts[name]
-        found: dict[int, tuple[int, str]] = {}
-        for name in message.names or ():
-            field, given, rounded = message[name], drafts[name], fixed[name]
-            if field.kind == "f":
-                wrong = ~np.isfinite(rounded)
-            elif given.dtype != field:
-                wrong = given != rounded
-            else:
-                continue
-            if not wrong.any():
-                continue
-            wrong &= self.sent
-            for row in np.flatnonzero(wrong.any(axis=1)).tolist():
-                side = int(wrong[row].argmax())
-                if row not in found or side < found[row][0]:
-                    found[row] = side, misfit(name, SIDES[side], given[row, side], field)
-        return Outbox(self.sent, fixed), {row: text for row, (_, text) in found.items()}
+                for leaf in leaves(message):
+                    leaf.of(fixed)[...] = leaf.of(drafts)
+        wrong = np.zeros(self.sent.shape, dtype=np.bool_)
+        for leaf in leaves(message):
+            found = _misfits(leaf, leaf.of(drafts), leaf.of(fixed))
+            if found is not None and found.any():
+                wrong |= found.reshape(*wrong.shape, -1).any(axis=2)
+        wrong &= self.sent
+        problems: dict[int, str] = {}
+        for row in np.flatnonzero(wrong.any(axis=1)).tolist():
+            side = int(wrong[row].argmax())
+            problems[row] = _first_misfit(message, SIDES[side], drafts[row, side], fixed[row, side])
+        return Outbox(self.sent, fixed), problems
+
+
+def _misfits(leaf: Leaf, given: NDArray[Any], rounded: NDArray[Any]) -> Bools | None:
+    """Return which numbers of a field don't fit it; None where all do by their type."""
+    if leaf.type.kind == "f":
+        return ~np.isfinite(rounded)
+    if leaf.most is not None:
+        return (given != rounded) | (rounded > leaf.most)
+    return None if given.dtype == leaf.type else given != rounded
+
+
+def _first_misfit(message: np.dtype[Any], side: str, given: Any, rounded: Any) -> str:
+    """Return the problem of the first number of a message that doesn't fit its field."""
+    for value in values_of(message):
+        number = np.asarray(value.of(given))
+        found = _misfits(value.leaf, number, np.asarray(value.of(rounded)))
+        if found is not None and found.any():
+            return misfit(value, side, number[()])
+    raise AssertionError("this is a bug: a message that fits")
 
 
 @final
@@ -320,7 +337,26 @@ def draft_of(message: np.dtype[Any]) -> np.dtype[Any]:
     NumPy casts what a program writes into an array: 300 becomes 44 in an unsigned byte, NaN becomes 0. A program on
     arrays is therefore stepped with a draft of its message type, and ``Outbox.settled`` rounds the draft.
     """
-    return np.dtype([(name, _draft(message[name])) for name in message.names or ()])
+    return with_numbers(message, _draft)
+
+
+def with_numbers(
+    message: np.dtype[Any], number: Callable[[np.dtype[Any]], np.dtype[Any]], *, align: bool = False
+) -> np.dtype[Any]:
+    """Return a message type with other numbers.
+
+    Args:
+        message: The type.
+        number: From the type of a number to the other one.
+        align: Whether every number has an address that is a multiple of its size.
+    """
+    if message.subdtype is not None:
+        return np.dtype((with_numbers(message.base, number, align=align), message.shape))
+    if message.names is None:
+        return number(message)
+    return np.dtype(
+        [(name, with_numbers(message[name], number, align=align)) for name in message.names], align=align
+    )
 
 
 def _draft(field: np.dtype[Any]) -> np.dtype[Any]:
@@ -354,6 +390,8 @@ def drafting(firmware: Firmware, draft: np.dtype[Any] | None) -> Generator[None]
 
 def can_settle(given: np.dtype[Any], message: np.dtype[Any]) -> bool:
     """Whether an array's type has the fields of a message type, in whatever numbers."""
-    return given == message or (
-        given.names == message.names and all(given[name].kind in "biuf" for name in message.names or ())
-    )
+    if given.shape != message.shape or given.base.names != message.base.names:
+        return False
+    if message.base.names is None:
+        return given.base.kind in "biuf"
+    return all(can_settle(given.base[name], message.base[name]) for name in message.base.names)

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from bus.errors import WireError
-from bus.wire.frames import check_message
+from bus.wire.message_type import check_message
 from cell_firmware import firmware_files, protocols
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, PerCellAdapter
 from cell_firmware.errors import FirmwareError, ParametersError, Problem

@@ -7,6 +7,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.wire.message_type import leaves
 from cell_firmware.components import BoardComponent
 from cell_firmware.firmware import Cells, Inbox, Outbox, State
 
@@ -20,7 +21,7 @@ def trace_registers(message: np.dtype[Any]) -> tuple[str, ...]:
     Args:
         message: Type of the program's messages.
     """
-    fields = [f"{way}.{name}" for way in ("read", "sent") for name in message.names or ()]
+    fields = [f"{way}.{leaf.name}" for way in ("read", "sent") for leaf in leaves(message)]
     return tuple(f"{TRACE}.{name}" for name in ("tick", "received", "sent", *fields))
 
 
@@ -76,9 +77,9 @@ class MessageTracer(BoardComponent):
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
         """Return the record: flags by side, and each field of the messages by side."""
         read, sent = state["read_message"], state["sent_message"]
-        names = self._message.names or ()
+        parts = leaves(self._message)
         return {
             **{name: state[name] for name in ("tick", "received", "sent")},
-            **{f"read.{name}": np.ascontiguousarray(read[name]) for name in names},
-            **{f"sent.{name}": np.ascontiguousarray(sent[name]) for name in names},
+            **{f"read.{leaf.name}": np.ascontiguousarray(leaf.of(read)) for leaf in parts},
+            **{f"sent.{leaf.name}": np.ascontiguousarray(leaf.of(sent)) for leaf in parts},
         }

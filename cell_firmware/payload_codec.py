@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.wire.fixed_layout import PayloadLayout
+from bus.wire.message_type import boolean_places, bounded_lists, overlong
 from cell_firmware.kernels import payload as kernels
 from cell_firmware.shard_kernel import TickBuffers
 
@@ -38,18 +40,23 @@ class PayloadCodec:
             self._is_constant[start : start + size] = 0
         self._sense_tick, self._drive_tick = sense.places["tick"][0], drive.places["tick"][0]
         self._sense_fields, self._drive_fields = _fields(sense, given), _fields(drive, done)
-        fields = (buffers.border.dtype.fields or {}).values()
-        self._booleans = np.array([field[1] for field in fields if field[0].kind == "b"], dtype=np.int64)
+        self._border = buffers.border
+        booleans = boolean_places(self._border.dtype) if self._border.dtype.names else {}
+        self._booleans = np.array([*chain.from_iterable(booleans.values())], dtype=np.int64)
+        self._has_lists = bool(bounded_lists(self._border.dtype))
         self._payload = np.frombuffer(bytearray(drive.constant), np.uint8)
 
     def read(self, tick: int, payload: bytes) -> bool:
         """Read a sense payload into the buffers; False if it isn't a valid one of this tick in this layout."""
         if len(payload) != self._size:
             return False
-        return kernels.read_payload(
+        is_valid = kernels.read_payload(
             tick, np.frombuffer(payload, np.uint8), self._constant, self._is_constant, self._sense_tick,
             self._sense_fields, self._booleans,
         )  # fmt: skip
+        if is_valid and self._has_lists:
+            return not overlong(self._border, self._border.dtype).any()
+        return is_valid
 
     def write(self, tick: int) -> bytes:
         """Return the drive payload of the buffers; drives must be finite."""

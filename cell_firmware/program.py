@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
+from bus.wire.message_type import each_all, leaves
 from cell_firmware.specs import Spec
 
 if TYPE_CHECKING:
@@ -124,6 +125,7 @@ class Program:
     def value_ranges(self) -> Mapping[str, tuple[float, float]]:
         """Return the range of values, by field of the messages, that cells of this program send over intact links.
 
+        A field in a record has its name behind the record's: ``pose.x``. The range of a vector is that of each number.
         Fields without a range may have any value.
         """
         return {}
@@ -134,13 +136,16 @@ class Program:
         Called where faults may damage messages; a refused message is not delivered.
         """
         plausible, good = self.value_ranges(), np.ones(messages.shape, dtype=np.bool_)
-        for name in messages.dtype.names or ():
-            value = messages[name]
-            if name in plausible:
-                low, high = plausible[name]
-                good &= (value >= low) & (value <= high)
-            elif value.dtype.kind == "f":
-                good &= np.isfinite(value)
+        for leaf in leaves(messages.dtype):
+            value = leaf.of(messages)
+            if leaf.name in plausible:
+                low, high = plausible[leaf.name]
+                fits = ((value >= low) & (value <= high)) | ~leaf.used(messages)
+            elif leaf.type.kind == "f":
+                fits = np.isfinite(value)
+            else:
+                continue
+            good &= each_all(fits, good.shape)
         return good
 
     def warnings(self, lattice: Lattice) -> tuple[str, ...]:

@@ -37,7 +37,7 @@ class ScalarFirmware(Firmware):
     """
 
     form: ClassVar[str] = "compiled"
-    refuses_misfits: ClassVar[bool] = True  # messages are written into fields of the wire type
+    refuses_misfits: ClassVar[bool] = True  # messages are written as drafts of its own
 
     def constants(self) -> Mapping[str, Any]:
         """Return the values of the record of constants, by field; none: they are zero."""
@@ -78,10 +78,13 @@ class ScalarFirmware(Firmware):
         done = np.zeros(n, dtype=outputs_type(module.MESSAGE))
         done["served"] = 1
         self.run_rows(parameters_record(module.PARAMETERS, self.constants()), records, given, done)
-        outbox = None
+        outbox, misfits = None, dict[int, str]()
         if self.message is not None:
-            outbox = Outbox(done["sent"].astype(np.bool_), np.ascontiguousarray(done["message"]))
-        return after, Outputs(done["speed_m_s"].copy(), outbox, served=done["served"].astype(np.bool_))
+            sent, drafts = done["sent"].astype(np.bool_), np.ascontiguousarray(done["message"])
+            drafts[~sent] = np.zeros((), dtype=drafts.dtype)
+            outbox, misfits = Outbox(sent, drafts).settled(module.MESSAGE)
+        served = done["served"].astype(np.bool_)
+        return after, Outputs(done["speed_m_s"].copy(), outbox, misfits or None, served)
 
 
 def parameters_record(kind: np.dtype[Any], constants: Mapping[str, Any]) -> NDArray[Any]:

@@ -15,6 +15,7 @@ from bus.partition import Partition
 from bus.sensors import CameraFrame, Labels
 from bus.state import StateFields
 from bus.wire.fixed_layout import PayloadLayout
+from bus.wire.message_type import leaves
 from cell_firmware.board import PROGRAM, has_kernels
 from cell_firmware.controller import Controller, ControllerState, StepTime, read_only
 from cell_firmware.effects.base import InputFilter
@@ -395,10 +396,9 @@ class Shard:
         """Return the messages of live cells in the last tick, by side, as registers."""
         rows = slice(None) if self._active is None else self._active
         sent, fields = self._sent.reshape(-1, 4)[rows], self._outgoing.reshape(-1, 4)[rows]
-        names = message.names or ()
         return {
             f"{MESSAGES}sent": sent.copy(),
-            **{f"{MESSAGES}{name}": fields[name].copy() for name in names},
+            **{f"{MESSAGES}{leaf.name}": leaf.of(fields).copy() for leaf in leaves(message)},
         }
 
     @property

@@ -9,6 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.lattice import SIDES
 from cell_firmware.board import PROGRAM
 from cell_firmware.compiled import CompiledController, Hardware
 from cell_firmware.controller import ControllerState
@@ -19,6 +20,8 @@ from cell_firmware.firmware import Bools, Cells, Floats, Messages, State
 from cell_firmware.kernels import shard as kernels
 from cell_firmware.kernels.arguments import readable
 from cell_firmware.kernels.program import inputs_type, outputs_type
+from cell_firmware.kernels.values import is_whole_draft
+from cell_firmware.message_values import misfit, values_of
 from cell_firmware.scalar import ScalarFirmware, parameters_record, state_records
 from cell_firmware.shard_links import Indices, ShardLinks
 
@@ -169,7 +172,8 @@ class ShardKernel:
         self.outboxes: list[Outboxes] = []
         self._spare: Outboxes | None = None
         """Outbox of a message that was read last, to be filled next."""
-        self._not_finite, self._speed = np.zeros(0, dtype=np.bool_), np.zeros((0, 2))
+        self._failing, self._speed = np.zeros(0, dtype=np.bool_), np.zeros((0, 2))
+        self._misfit = np.zeros(0, dtype=np.int64)
         self._bound: tuple[ControllerState, Indices | None, Bools | None] | None = None
         self.buffers = TickBuffers.of(links, self._line, sensors)
 
@@ -277,11 +281,17 @@ class ShardKernel:
         assert self._bound is not None, "this is a bug: a step before a state was bound"
         cells = self._bound[0].cells
         return {
-            i: FirmwareFailed(
-                cells.name(i), tick, f"drive is not finite: speed {self._speed[i].tolist()} m/s"
-            )
-            for i in np.flatnonzero(self._not_finite).tolist()
+            i: FirmwareFailed(cells.name(i), tick, self._problem(i))
+            for i in np.flatnonzero(self._failing).tolist()
         }
+
+    def _problem(self, i: int) -> str:
+        """Return the problem of a live cell whose program failed in the last tick."""
+        if self._misfit[i] < 0:
+            return f"drive is not finite: speed {self._speed[i].tolist()} m/s"
+        values = values_of(self._module.MESSAGE)
+        side, place = divmod(int(self._misfit[i]), len(values))
+        return misfit(values[place], SIDES[side], float(self._speed[i, 0]))
 
     def _address(self, array: NDArray[Any]) -> int:
         """Address of an array in one piece, kept alive until the next binding."""
@@ -356,10 +366,16 @@ class ShardKernel:
         fields["inputs_message"] = inputs["message"].ctypes.data
         fields["outputs"] = self._address(outputs)
         fields["outputs_sent"] = outputs["sent"].ctypes.data
-        fields["outputs_message"] = outputs["message"].ctypes.data
+        fields["outputs_draft"] = outputs["message"].ctypes.data
+        if is_whole_draft(self._module.MESSAGE):
+            fields["said"] = fields["outputs_draft"]
+        else:
+            fields["said"] = self._address(np.zeros(4, dtype=self._module.MESSAGE))
         fields["parameters"], fields["states"] = self._address(self._parameters), self._address(self._records)
-        self._not_finite, self._speed = np.zeros(live, dtype=np.bool_), np.zeros((live, 2))
-        fields["failed"], fields["speed"] = self._address(self._not_finite), self._address(self._speed)
+        self._failing, self._speed = np.zeros(live, dtype=np.bool_), np.zeros((live, 2))
+        self._misfit = np.zeros(live, dtype=np.int64)
+        fields["failed"], fields["speed"] = self._address(self._failing), self._address(self._speed)
+        fields["misfit"] = self._address(self._misfit)
 
     def _bind_sensors(self, fields: dict[str, Any]) -> None:
         debounce = self._debounce

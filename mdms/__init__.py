@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bus.errors import BusError
     from bus.lattice import SIDES, Lattice
     from bus.spec import Finite, NotNegative, Positive, Spec, Vector
+    from bus.wire.message_type import bounded_list
     from cell_firmware.array_view import ArrayView, Violation
     from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs
     from cell_firmware.errors import FirmwareError, ParametersError, Problem
@@ -100,6 +101,7 @@ __all__ = [
     "Vector",
     "Violation",
     "Workers",
+    "bounded_list",
     "export_recording",
     "load_recording",
     "load_scene",
@@ -116,6 +118,7 @@ _MODULES: Final = {
     "cell_firmware.errors": ("FirmwareError", "ParametersError", "Problem"),
     "cell_firmware.firmware": ("Cells", "Firmware", "Inbox", "Inputs", "Outbox", "Outputs", "State"),
     "cell_firmware.array_view": ("ArrayView", "Violation"),
+    "bus.wire.message_type": ("bounded_list",),
     "cell_firmware.scalar_program": ("ScalarProgram", "scalar_function"),
     "cell_firmware.program": ("NoParameters", "Program", "Theory"),
     "deploy.errors": ("DeployError", "InputError"),

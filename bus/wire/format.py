@@ -22,8 +22,9 @@ from bus.partition import Index, Partition
 from bus.sensors import CameraFrame, Labels, SensorSchema
 from bus.spec import NO_LATENCY, BusSpec
 from bus.wire.fixed_layout import Decode, PayloadLayout
-from bus.wire.frames import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values, check_message
+from bus.wire.frames import DriveFrame, LinkFrame, Mask, Message, SenseFrame, Values
 from bus.wire.keys import check_run
+from bus.wire.message_type import check_message
 
 
 @final

@@ -6,8 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple, cast, final
 
-import numpy as np
-
 from bus.errors import BusError, WireError
 from bus.sensors import CameraFrame, Labels, SensorSchema
 from bus.wire.msgpack_codec import TICK_LIMIT, VERSION, Mask, Message, Values, layout, packer, reader
@@ -16,8 +14,6 @@ TEXT_LIMIT: Final = 4096
 """Longest text in a control record or report, characters."""
 COUNTER_LIMIT: Final = 64
 """Most numbers in a report's counters, and longest name of one, characters."""
-_MESSAGE_LIMIT: Final = 4096
-_MESSAGE_FIELDS: Final = 64
 
 
 class SenseFrame(NamedTuple):
@@ -82,33 +78,6 @@ class Report:
     """Payloads sent, delivered, lost, late."""
     counters: tuple[tuple[str, int], ...] = ()
     """Counters of the cells, by name."""
-
-
-def check_message(dtype: np.dtype[Any]) -> np.dtype[np.void]:
-    """Return a protocol's message type as encoded on the wire: packed, little-endian.
-
-    Args:
-        dtype: Structured, of plain booleans, integers and floats.
-
-    Raises:
-        WireError: Not structured, nested, an array or object field, too large, or a reserved field name.
-    """
-    if dtype.names is None or not dtype.names or len(dtype.names) > _MESSAGE_FIELDS:
-        raise WireError("message", "type", f"{dtype}: must be structured, of 1 to {_MESSAGE_FIELDS} fields")
-    fields: list[tuple[str, np.dtype[Any]]] = []
-    for name in dtype.names:
-        field = dtype[name]
-        if name in ("v", "tick") or not name.isidentifier():
-            raise WireError("message", "type", f"field {name!r}: must be an identifier other than v and tick")
-        if field.kind not in "biuf" or field.shape or field.itemsize > 8:
-            raise WireError(
-                "message", "type", f"field {name!r} is {field}: must be bool, int or float up to 64 bits"
-            )
-        fields.append((name, field.newbyteorder("<")))
-    packed = np.dtype(fields)
-    if packed.itemsize > _MESSAGE_LIMIT:
-        raise WireError("message", "type", f"{packed.itemsize} bytes: must be at most {_MESSAGE_LIMIT}")
-    return packed
 
 
 def check_sense(frame: SenseFrame, readings: SensorSchema, cells: int) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bus.errors import WireError
 from bus.sensors import CameraFrame, Labels
+from bus.wire.message_type import Leaf, bounded_lists, leaves, overlong
 
 VERSION: Final = 2
 """Version of every payload; another is refused."""
@@ -224,17 +225,47 @@ def messages(kind: str, value: object, count: int, dtype: np.dtype[np.void]) -> 
     """``(count,)`` messages of a protocol from their packed bytes, which may be written.
 
     Raises:
-        WireError: Another length, or a boolean field that is neither 0 nor 1.
+        WireError: Another length, a boolean field that is neither 0 nor 1, or a list longer than its bound.
     """
     found = np.frombuffer(bytearray(contents(kind, value, count * dtype.itemsize)), dtype)
-    for name in dtype.names or ():
-        if dtype[name].kind == "b" and (found[name].view(_U1) > 1).any():
-            raise WireError(kind, "type", f"{name} must be a boolean")
+    for leaf in leaves(dtype):
+        if leaf.type.kind == "b" and (leaf.of(found).view(_U1) > 1).any():
+            raise WireError(kind, "type", f"{leaf.name} must be a boolean")
+    check_lists(kind, found, dtype)
     return found
 
 
-def scalar_reader(kind: str, name: str, dtype: np.dtype[Any]) -> Callable[[object], Any]:
-    """Return a decoder of one message field: from any value to the Python value of its type.
+def check_lists(kind: str, found: Message, dtype: np.dtype[Any]) -> None:
+    """Check that no message has a list longer than its bound.
+
+    Raises:
+        WireError: One has.
+    """
+    if bounded_lists(dtype) and overlong(found, dtype).any():
+        raise WireError(kind, "range", "a list must not be longer than its bound")
+
+
+def leaf_reader(kind: str, leaf: Leaf) -> Callable[[object], list[Any]]:
+    """Return a decoder of one message field: from any value to the Python values of its type, one for a single number.
+
+    The function raises WireError for a value of another type, out of range, or that is no list of the vector's length.
+    """
+    read = scalar_reader(kind, leaf.name, leaf.type, leaf.most)
+    if not leaf.shape:
+        return lambda value: [read(value)]
+
+    def read_vector(value: object) -> list[Any]:
+        if type(value) is not list or len(cast("list[object]", value)) != leaf.size:
+            raise WireError(kind, "type", f"{leaf.name} must be a list of {leaf.size}")
+        return [read(one) for one in cast("list[object]", value)]
+
+    return read_vector
+
+
+def scalar_reader(
+    kind: str, name: str, dtype: np.dtype[Any], most: int | None = None
+) -> Callable[[object], Any]:
+    """Return a decoder of one number: from any value to the Python value of its type, at most ``most``.
 
     The function raises WireError for a value of another type or out of range.
     """
@@ -265,7 +296,7 @@ def scalar_reader(kind: str, name: str, dtype: np.dtype[Any]) -> Callable[[objec
     if dtype.kind == "f":
         highest = float(np.finfo(dtype).max)
         return read_float
-    lowest, highest = int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)
+    lowest, highest = int(np.iinfo(dtype).min), int(np.iinfo(dtype).max) if most is None else most
     return read_int
 
 

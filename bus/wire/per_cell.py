@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from itertools import chain
 from typing import Any, Final, final
 
 import numpy as np
@@ -19,6 +20,7 @@ from bus.wire import msgpack_codec as codec
 from bus.wire.fixed_layout import Decode, FieldLayout, FixedLayoutCodec, decode_booleans
 from bus.wire.format import CoordinatorCodec, ParticipantCodec, RelayedLinks, RunSchema, Senses
 from bus.wire.keys import cell_key, cell_link_key
+from bus.wire.message_type import leaves
 
 VALUE: Final = 80
 """Bytes that one named value of a payload may take, its name included up to four fifths of that."""
@@ -255,7 +257,7 @@ class PerCellParticipant(ParticipantCodec):
         self.blank_links = [b""] * len(received)
         self._no_message = bytes(message.itemsize)
         self._message = message
-        self._fields = _struct(message, "1s").iter_unpack
+        self._fields = _struct(message).iter_unpack
         self._drive, self._link, self._silence = (
             FixedLayoutCodec(_DRIVE),
             FixedLayoutCodec(_link_places(message)),
@@ -307,16 +309,20 @@ def _link_decoder(message: np.dtype[Any]) -> Decode:
 
 def _message_packer(message: np.dtype[Any]) -> Callable[..., bytes | None]:
     """Return a converter from a message's decoded values to its packed fields."""
-    letters = _letters(message).values()
-    packed = _struct(message, "1s")
-    if not {"?", "e"} & set(letters):
+    # booleans of a vector are one value, its other numbers a value each
+    letters = [
+        (letter, leaf.most)
+        for leaf, letter in zip(leaves(message), _letters(message), strict=True)
+        for _ in range(1 if letter == "?" else leaf.size)
+    ]
+    packed = _struct(message)
+    if all(letter not in "?e" and most is None for letter, most in letters):
         return packed.pack
-    booleans = [letter == "?" for letter in letters]
 
     def pack(*values: Any) -> bytes | None:
         made = [
-            decode_booleans(value) if is_flag else value
-            for value, is_flag in zip(values, booleans, strict=True)
+            decode_booleans(value) if letter == "?" else value if most is None or value <= most else None
+            for value, (letter, most) in zip(values, letters, strict=True)
         ]
         try:
             return None if None in made else packed.pack(*made)
@@ -328,32 +334,43 @@ def _message_packer(message: np.dtype[Any]) -> Callable[..., bytes | None]:
 
 def _any_link_decoder(message: np.dtype[Any]) -> Decode:
     """Return a decoder of link payloads in any layout."""
-    names = message.names or ()
-    pack = _struct(message, "?").pack
-    readers = [codec.scalar_reader("link", name, message[name]) for name in names]
-    limit = sum(VALUE + 4 * len(name) for name in names)
+    names = [leaf.name for leaf in leaves(message)]
+    pack = _struct(message, truth_values=True).pack
+    readers = [codec.leaf_reader("link", leaf) for leaf in leaves(message)]
+    limit = sum(VALUE * leaf.size + 4 * len(leaf.name) for leaf in leaves(message))
     read = codec.reader("link", limit, codec.layout(*names), _NO_MESSAGE)
 
     def decode(part: int, payload: bytes) -> tuple[int, bytes]:  # noqa: ARG001 - all links alike
         tick, fields = read(payload)
         if len(fields) == len(_NO_MESSAGE):
             return tick, b""
-        return tick, pack(*[reader(fields[name]) for name, reader in zip(names, readers, strict=True)])
+        values = [reader(fields[name]) for name, reader in zip(names, readers, strict=True)]
+        return tick, pack(*chain.from_iterable(values))
 
     return decode
 
 
-def _letters(message: np.dtype[Any]) -> dict[str, str]:
-    """The struct module's letter for each field of a message; they mean other sizes than NumPy's."""
-    fields = ((name, message[name]) for name in message.names or ())
-    return {name: _LETTERS[field.kind + str(field.itemsize)] for name, field in fields}
+def _letters(message: np.dtype[Any]) -> list[str]:
+    """The struct module's letter for each leaf of a message; they mean other sizes than NumPy's."""
+    return [_LETTERS[leaf.type.kind + str(leaf.type.itemsize)] for leaf in leaves(message)]
 
 
 def _link_places(message: np.dtype[Any]) -> dict[str, FieldLayout]:
-    """A message in MessagePack, which has no half floats."""
-    return {name: "f" if letter == "e" else letter for name, letter in _letters(message).items()}
+    """A message in MessagePack, which has no half floats: leaves by name, vectors as lists."""
+    places: dict[str, FieldLayout] = {}
+    for leaf, letter in zip(leaves(message), _letters(message), strict=True):
+        number = "f" if letter == "e" else letter
+        if not leaf.shape:
+            places[leaf.name] = number
+        else:
+            places[leaf.name] = leaf.size if number == "?" else (number,) * leaf.size
+    return places
 
 
-def _struct(message: np.dtype[Any], boolean: str) -> struct.Struct:
-    """The layout of a message, with booleans as Python's (``"?"``) or as a byte each (``"1s"``)."""
-    return struct.Struct("<" + "".join(_letters(message).values()).replace("?", boolean))
+def _struct(message: np.dtype[Any], *, truth_values: bool = False) -> struct.Struct:
+    """The layout of a message, with booleans as Python's (``truth_values``) or as bytes, one string a leaf."""
+    words = [
+        f"{leaf.size}{'s' if letter == '?' and not truth_values else letter}"
+        for leaf, letter in zip(leaves(message), _letters(message), strict=True)
+    ]
+    return struct.Struct("<" + "".join(words))

@@ -24,6 +24,7 @@ from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
 from bus.wire.fixed_layout import Binary, Decode, FieldLayout, FixedLayoutCodec
 from bus.wire.format import DriveBatch, RelayedLinks, RunSchema, Senses
+from bus.wire.message_type import boolean_places, bounded_lists, overlong
 from bus.wire.payload_batch import PayloadBatch
 from bus.wire.per_shard import PerShardCoordinator, PerShardParticipant
 
@@ -194,9 +195,12 @@ class _Drives(DriveBatch):
         booleans = [self._sent_at]
         if message.itemsize:
             booleans += [
-                self._message_at[start :: message.itemsize] for start in _boolean_starts(message).values()
+                self._message_at[place :: message.itemsize]
+                for places in boolean_places(message).values()
+                for place in places
             ]
         self._booleans_at = np.concatenate(booleans)
+        self._listed = message if bounded_lists(message) else None
 
     def stamp(self, tick: int) -> bytes:
         """Return the bytes of a payload at ``tick_at``."""
@@ -210,7 +214,10 @@ class _Drives(DriveBatch):
         drive = joined.take(self._drive_at)
         if not codec.all_finite(drive.view(_NUMBER)):
             return None
-        return [_Driven(drive.data, joined.take(self._sent_at).data, joined.take(self._message_at).data)]
+        messages = joined.take(self._message_at)
+        if self._listed is not None and overlong(messages.view(self._listed), self._listed).any():
+            return None
+        return [_Driven(drive.data, joined.take(self._sent_at).data, messages.data)]
 
 
 def _routes(outgoing: Sequence[Links], incoming: Sequence[Links]) -> tuple[Index, Index]:
@@ -253,19 +260,20 @@ def _drive_decoder(sizes: dict[str, int], message: np.dtype[Any]) -> Decode:
     return FixedLayoutCodec(_places(sizes)).decoder(driven, decode)
 
 
-def _boolean_starts(message: np.dtype[Any]) -> dict[str, int]:
-    """Return the place of each boolean field in a message."""
-    return {name: field[1] for name, field in (message.fields or {}).items() if field[0].kind == "b"}
-
-
 def _message_check(kind: str, message: np.dtype[Any]) -> Callable[[bytes, bytes], None]:
-    """Return a check that raises WireError for marks of sent messages, or boolean fields, that are no booleans."""
-    starts = _boolean_starts(message)
+    """Return a check that raises WireError for marks of sent messages, or boolean fields, that are no booleans.
+
+    So does a list longer than its bound.
+    """
+    places = [(name, place) for name, places in boolean_places(message).items() for place in places]
+    has_lists = bool(bounded_lists(message))
 
     def check(sent: bytes, messages: bytes) -> None:
         _check_booleans(kind, "sent", sent)
-        for name, start in starts.items():
-            _check_booleans(kind, name, messages[start :: message.itemsize])
+        for name, place in places:
+            _check_booleans(kind, name, messages[place :: message.itemsize])
+        if has_lists:
+            codec.check_lists(kind, np.frombuffer(messages, message), message)
 
     return check
 

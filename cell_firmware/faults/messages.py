@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bus.fault import FaultInstance
 from bus.lattice import Lattice
+from bus.wire.message_type import overlong
 from cell_firmware.board import Board
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime
 from cell_firmware.faults.base import CellFault, FaultWrapper
@@ -111,7 +112,8 @@ class MessageFaultWrapper(FaultWrapper):
     def _checked(self, inbox: Inbox) -> tuple[Inbox, Ints]:
         """Drop implausible messages; return the others, and the number refused by each cell."""
         assert self._program is not None, "this is a bug: words of no program"
-        refused = inbox.received & ~self._program.accepts(inbox.message)
+        broken = overlong(inbox.message, inbox.message.dtype)
+        refused = inbox.received & (broken | ~self._program.accepts(inbox.message))
         if not refused.any():
             return inbox, np.zeros(len(refused), dtype=np.int64)
         message = np.array(inbox.message)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.random_streams import CounterStream
-from bus.wire.frames import check_message
+from bus.wire.message_type import check_message, leaves
 from cell_firmware.effects.serial.bursts import WORD, BurstType
 from cell_firmware.firmware import Messages
 
@@ -69,9 +69,9 @@ class MessageBytes(PayloadView):
     def write(self, messages: Messages, data: Bytes) -> Messages:
         """Replace the program's fields; a boolean is true unless its byte is 0."""
         values, after = np.ascontiguousarray(data).view(self._packed)[:, 0], messages.copy()
-        for name in self._names:
-            value = values[name]
-            after[name] = value.view(np.uint8) != 0 if value.dtype.kind == "b" else value
+        for leaf in leaves(self._packed):
+            value = leaf.of(values)
+            leaf.of(after)[...] = value.view(np.uint8) != 0 if leaf.type.kind == "b" else value
         return after
 
 

@@ -22,6 +22,14 @@ from cell_firmware.kernels.memory import array_at
 from cell_firmware.kernels.messages import clear, copy
 from cell_firmware.kernels.program import inputs_type, outputs_type
 from cell_firmware.kernels.speed_loop import LOOP, WHEELS
+from cell_firmware.kernels.values import (
+    clear_beyond,
+    first_misfit,
+    is_whole_draft,
+    list_records,
+    round_draft,
+    value_records,
+)
 from cell_firmware.kernels.watchdog import WATCHDOG, times_out
 
 RESETS = -1
@@ -88,11 +96,13 @@ SHARD = np.dtype(
             "places",  # (a, 2): row and column of each live cell
             "outputs",  # (1,) of outputs_type; likewise
             "outputs_sent",
-            "outputs_message",
+            "outputs_draft",  # (4, numbers) of 8 bytes, the same memory as outputs.message
+            "said",  # (4, size) bytes, the messages of a draft; the draft itself where it is one
             "line_received",  # (4,) bool
             "line",  # (4, size + head) bytes
-            "failed",  # (a,) bool: whether a program's speed was no number
-            "speed",  # (a, 2): that speed
+            "failed",  # (a,) bool: whether a program drives what is no number, or sends what doesn't fit
+            "speed",  # (a, 2): that speed; or first the number that doesn't fit
+            "misfit",  # (a,): side of the message times numbers of a message, plus place in it; -1: speed is no number
             "believed",  # (n, sensors) bool, of the debouncing
             "readings",  # (n, sensors)
             "ppb",  # (n,): errors of the clocks
@@ -110,8 +120,11 @@ INPUTS: Any = None
 OUTPUTS: Any = None
 SIZE: Any = None
 RANDOM: Any = None
-"""A program's step, its types, the bytes of its messages, and how many random numbers it has: see
-``compiled_program``."""
+VALUES: Any = None
+LISTS: Any = None
+WHOLE_DRAFT: Any = None
+"""A program's step, its types, the bytes of its messages, how many random numbers it has, and the numbers and lists of
+its messages: see ``compiled_program``."""
 
 
 def run_rows(parameters, states, inputs, outputs):
@@ -219,8 +232,8 @@ def run_tick(tick, shards):
         shards: One record of ``SHARD``.
 
     Returns:
-        How many programs drive what is no number, or ``RESETS`` if nothing was done; and how many bounces of presence
-        bits were counted.
+        How many programs drive what is no number or send what doesn't fit, or ``RESETS`` if nothing was done; and how
+        many bounces of presence bits were counted.
     """
     s = shards[0]
     n, live = s.cells, s.live
@@ -252,9 +265,14 @@ def run_tick(tick, shards):
     before, after = s.outbox_1 if current else s.outbox_0, s.outbox_0 if current else s.outbox_1
     inputs, outputs = array_at(s.inputs, 1, INPUTS)[0], array_at(s.outputs, 1, OUTPUTS)[0]
     received, message = array_at(s.inputs_received, 4, BOOL), array_at(s.inputs_message, (4, SIZE), BYTE)
-    says, said = array_at(s.outputs_sent, 4, BOOL), array_at(s.outputs_message, (4, SIZE), BYTE)
+    says, said = array_at(s.outputs_sent, 4, BOOL), array_at(s.said, (4, SIZE), BYTE)
+    draft, draft_bits = (
+        array_at(s.outputs_draft, (4, len(VALUES)), DOUBLE),
+        array_at(s.outputs_draft, (4, len(VALUES)), LONG),
+    )
     line_received, line = array_at(s.line_received, 4, BOOL), array_at(s.line, (4, SIZE + lines.HEAD), BYTE)
     failed, speed = array_at(s.failed, live, BOOL), array_at(s.speed, (live, 2), DOUBLE)
+    misfit = array_at(s.misfit, live, LONG)
     believed = array_at(s.believed, (n, s.sensors), BOOL)
     readings = array_at(s.readings, (n, s.sensors), LONG)
     if RANDOM:  # a constant to the compiler
@@ -290,7 +308,7 @@ def run_tick(tick, shards):
         )  # fmt: skip
         for side in range(4):
             says[side] = False
-            clear(said[side])
+            clear(draft_bits[side])
         wanted = outputs.speed_m_s
         wanted[0] = wanted[1] = 0.0
         outputs.served = 1
@@ -299,14 +317,29 @@ def run_tick(tick, shards):
             if RANDOM:
                 draw_cell(keys, window + 1, places[i], random)
             step(parameters[0], states[i], inputs, outputs)
-            if not (np.isfinite(wanted[0]) and np.isfinite(wanted[1])):
+            wrong = -1
+            for side in range(4):
+                if s.messages and says[side] and wrong < 0:
+                    clear_beyond(LISTS, draft[side])
+                    word = first_misfit(VALUES, draft[side])
+                    if word >= 0:
+                        wrong, speed[i, 0] = side * len(VALUES) + word, draft[side, word]
+            if wrong >= 0 or not (np.isfinite(wanted[0]) and np.isfinite(wanted[1])):
                 failed[i] = True
+                misfit[i] = wrong
                 failures += 1
                 for axis in range(2):
-                    speed[i, axis] = wanted[axis]
+                    if wrong < 0:
+                        speed[i, axis] = wanted[axis]
                     wanted[axis] = wanted[axis] if np.isfinite(wanted[axis]) else 0.0
                 for side in range(4):
                     says[side] = False
+        if s.messages:
+            for side in range(4):
+                if not says[side]:
+                    clear(said[side])
+                elif not WHOLE_DRAFT:  # a constant to the compiler
+                    round_draft(VALUES, draft[side], draft_bits[side], said[side])
         if k.lines:
             for side in range(4):
                 sent_next[row, side] = False
@@ -360,6 +393,9 @@ def compiled_program(
         "OUTPUTS": outputs,
         "SIZE": message.itemsize,
         "RANDOM": len(random),
+        "VALUES": value_records(message),
+        "LISTS": list_records(message),
+        "WHOLE_DRAFT": is_whole_draft(message),
     }
     tick = entry(INTEGER, written(SHARD, 1))(_for_program(run_tick, module, names))
     rows = entry(read(parameters, 1), written(state, 1), written(inputs, 1), written(outputs, 1))(

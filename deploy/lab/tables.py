@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from bus.lattice import OPPOSITE, SIDES, Lattice
 from cell_firmware.array_view import PROGRAM
+from cell_firmware.errors import MessageValueError
 from cell_firmware.firmware import Outbox
+from cell_firmware.plain_messages import PlainMessages
 from cell_firmware.program_variables import PER_CELL, replaced
 from deploy.errors import InputError
 
@@ -201,14 +203,13 @@ class MessageSlots(_Table):
         outbox = self._shard().outbox
         if not outbox.sent[cell, side]:
             return None
-        message = outbox.message[cell, side]
-        return {name: message[name].tolist() for name in message.dtype.names}
+        return PlainMessages(outbox.message.dtype).decode(outbox.message[cell, side].tolist())
 
     def __setitem__(self, key: tuple[CellName, str], message: Mapping[str, Any] | None) -> None:
         """Replace a message; None: it is not sent.
 
         Raises:
-            InputError: There is no such link, or the message has other fields than its type.
+            InputError: There is no such link, or the message has other fields than its type, or values that don't fit.
         """
         cell, side = self._slot(key)
         shard = self._shard()
@@ -220,8 +221,12 @@ class MessageSlots(_Table):
                 raise InputError(
                     f"message: must have the fields {', '.join(names)}, not {', '.join(message)}"
                 )
-            for name in names:
-                outbox.message[name][cell, side] = message[name]
+            kind = outbox.message.dtype
+            try:
+                values = PlainMessages(kind).encode(message, SIDES[side])
+            except (MessageValueError, TypeError, ValueError) as error:
+                raise InputError(str(error)) from None
+            outbox.message[cell, side] = np.array(values, dtype=kind)
         shard.outbox = Outbox(outbox.sent, outbox.message)
 
     def _slot(self, key: object) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bus.errors import BusError
 from bus.lockstep.registers import RegisterRequest
 from bus.wire.keys import plant_key
+from bus.wire.message_type import leaves
 from cell_firmware.message_tracer import TRACE, trace_registers
 from cell_firmware.shard import MESSAGES
 from deploy.checkpoints.checkpointer import make_checkpointer, restore_run
@@ -316,7 +317,7 @@ class RecordedRun:
     def _message_names(self) -> frozenset[str]:
         """Return the names of the registers that show messages."""
         link = self._controller().link_type
-        names = () if link is None else ("sent", *(link.names or ()))
+        names = () if link is None else ("sent", *(leaf.name for leaf in leaves(link)))
         return frozenset(f"{MESSAGES}{name}" for name in names)
 
     def _respawner(self, coordinator: Coordinator) -> Respawner | None:

@@ -12,12 +12,21 @@ from bus.sensors import SensorSchema
 from bus.wire.format import RelayedLinks, RunSchema
 from bus.wire.formats import FORMATS
 from bus.wire.frames import DriveFrame, LinkFrame, SenseFrame
+from bus.wire.message_type import bounded_list
 from cell_firmware.payload_codec import PayloadCodec
 from cell_firmware.shard_kernel import TickBuffers
 from cell_firmware.shard_links import ShardLinks
 from tests.bus.support import grid
 
-MESSAGE = np.dtype([("u", "<f8"), ("there", "?"), ("hops", "<u2")])
+MESSAGE = np.dtype(
+    [
+        ("u", "<f8"),
+        ("there", "?"),
+        ("hops", "<u2"),
+        ("seen", "?", (3,)),
+        ("route", bounded_list([("n", "<i2")], 4)),
+    ]
+)
 SENSORS = 2
 TICK = 7
 

@@ -7,7 +7,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.wire.frames import check_message
+from bus.wire.message_type import check_message, each_all, leaves, overlong
 from cell_firmware.firmware import Bools, Messages
 
 Bytes = NDArray[np.uint8]
@@ -67,10 +67,11 @@ class Frame:
         data = np.ascontiguousarray(frames[:, : self.size])
         good = check_of(data) == frames[:, self.size]
         messages = data.view(self._packed)[:, 0]
-        for name in self._packed.names or ():
-            values = messages[name]
-            if values.dtype.kind == "f":
-                good &= np.isfinite(values)
-            elif values.dtype.kind == "b":
-                good &= values.view(np.uint8) <= 1
+        for leaf in leaves(self._packed):
+            values = leaf.of(messages)
+            if leaf.type.kind == "f":
+                good &= each_all(np.isfinite(values), good.shape)
+            elif leaf.type.kind == "b":
+                good &= each_all(values.view(np.uint8) <= 1, good.shape)
+        good &= ~overlong(messages, self._packed)
         return good, messages.astype(self.message)

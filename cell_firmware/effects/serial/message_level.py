@@ -164,7 +164,7 @@ class MessageLevelLines(LinkDriver):
         whole |= come
         source = after[f"message_{slot}"].reshape(-1)
         for name in self._names:
-            message[name].reshape(-1)[row] = source[name][row]
+            message.reshape(-1)[name][row] = source[name][row]
 
     def send(self, now: StepTime, state: State, outbox: Outbox | None) -> tuple[State, Outbox]:
         """Send the messages whose last byte starts before the cells' next step."""
@@ -191,7 +191,7 @@ class MessageLevelLines(LinkDriver):
             if len(stays):
                 after["going"] = after["going"].copy()
                 for name in self._names:
-                    after["going"][name].reshape(-1)[stays] = after["waiting"][name].reshape(-1)[stays]
+                    after["going"].reshape(-1)[name][stays] = after["waiting"].reshape(-1)[name][stays]
             after["goes"] = (after["goes"] & ~ends) | (begins & ~at_once)
             ends = ends | at_once
         else:
@@ -206,7 +206,7 @@ class MessageLevelLines(LinkDriver):
         line[self._last].reshape(-1)[row] = after["last_ns"].reshape(-1)[row] - window * self._window_ns
         line[self._began].reshape(-1)[row] = window - after["began"].reshape(-1)[row]
         for name in self._names:
-            line[name].reshape(-1)[row] = source[name].reshape(-1)[row]
+            line.reshape(-1)[name][row] = source.reshape(-1)[name][row]
 
     def registers(self, state: State) -> dict[str, NDArray[Any]]:
         """Return the counters of each side, ``(n, 4)``; zero for events that can't occur."""

@@ -13,10 +13,12 @@ from bus.fault import CellTarget, FaultInstance, Problem, links_of
 from bus.lattice import SIDES
 from bus.random_streams import CounterStream
 from bus.spec import Finite
+from bus.wire.message_type import Leaf, clear_tails, leaves
 from cell_firmware.errors import FirmwareError
 from cell_firmware.faults.base import CellFault, stream_name
 from cell_firmware.faults.message_fault import MessageContext, MessageFault
 from cell_firmware.firmware import Bools, Inbox, State
+from cell_firmware.message_values import bounds
 
 if TYPE_CHECKING:
     from cell_firmware.specs import CellsSpec
@@ -62,7 +64,7 @@ class LieFault(CellTarget, CellFault):
             message = load(cells).message
         except FirmwareError:
             return  # which is another problem
-        named = [] if message is None else _numbers(message)
+        named = [] if message is None else [leaf.name for leaf in _numbers(message)]
         if self.field is not None and self.field not in named:
             listed = ", ".join(named) or "none"
             yield ("field",), self.field, f"must be a numeric field of {cells.firmware}'s messages: {listed}"
@@ -79,7 +81,7 @@ class _Lies(MessageFault):
     def __init__(self, fault: LieFault, talk: MessageContext, injected: FaultInstance[CellFault]) -> None:
         super().__init__(injected)
         self._mode, self._by = fault.mode, 0.0 if fault.by is None else fault.by
-        self._fields = [name for name in _numbers(talk.message) if fault.field in (None, name)]
+        self._fields = [leaf for leaf in _numbers(talk.message) if fault.field in (None, leaf.name)]
         lattice = talk.lattice
         affected = links_of(lattice, injected.cells, incoming=False, outgoing=True)
         self._message = talk.message
@@ -112,21 +114,25 @@ class _Lies(MessageFault):
             own = self._learnt(own, lies, inbox.message)
         chance = self._chance(tick, place)[lies]
         with np.errstate(over="ignore", invalid="ignore"):  # what is no number any more is refused
-            for name in self._fields:
-                message[name][lies] = self._instead(name, own, message[name][lies], lies, chance)
+            for leaf in self._fields:
+                numbers = leaf.of(message)
+                numbers[lies] = self._instead(leaf, own, numbers[lies], lies, chance)
+        clear_tails(message, self._message)
         return own, Inbox(inbox.received, message), lies.sum(axis=1)
 
     def _instead(
-        self, name: str, own: State, original: Values, lies: Bools, chance: NDArray[np.float64]
+        self, leaf: Leaf, own: State, original: Values, lies: Bools, chance: NDArray[np.float64]
     ) -> Values:
         """Return the false values of a field."""
         if self._mode == "offset":
-            return _shifted(original, self._by)
+            return _shifted(original, self._by, leaf)
         if self._mode == "factor":
-            return _times(original, self._by)
+            return _times(original, self._by, leaf)
+        least = leaf.of(own["least"])[lies]
         if self._mode == "stuck":
-            return own["least"][name][lies]
-        return _between(own["least"][name][lies], own["greatest"][name][lies], chance)
+            return least
+        chance = np.broadcast_to(chance.reshape(-1, *(1,) * len(leaf.shape)), least.shape)
+        return _between(least, leaf.of(own["greatest"])[lies], chance, leaf)
 
     def _chance(self, tick: int, place: Ints) -> NDArray[np.float64]:
         """``(n, 4)``: a number for each link."""
@@ -138,42 +144,44 @@ class _Lies(MessageFault):
     def _learnt(self, own: State, lies: Bools, message: Values) -> State:
         """Update the values that links have brought while the fault is active."""
         known, least, greatest = own["known"], np.array(own["least"]), np.array(own["greatest"])
-        for name in self._fields:
-            first = lies & ~known
+        for leaf in self._fields:
+            each = (*lies.shape, *(1,) * len(leaf.shape))
+            lying, first = lies.reshape(each), (lies & ~known).reshape(each)
+            values, lowest, highest = leaf.of(message), leaf.of(least), leaf.of(greatest)
             if self._mode == "stuck":
-                least[name] = np.where(first, message[name], least[name])
+                lowest[...] = np.where(first, values, lowest)
                 continue
-            least[name] = np.where(first | (lies & (message[name] < least[name])), message[name], least[name])
-            more = first | (lies & (message[name] > greatest[name]))
-            greatest[name] = np.where(more, message[name], greatest[name])
+            lowest[...] = np.where(first | (lying & (values < lowest)), values, lowest)
+            highest[...] = np.where(first | (lying & (values > highest)), values, highest)
         return {"known": known | lies, "least": least, "greatest": greatest}
 
 
-def _numbers(message: np.dtype[Any]) -> list[str]:
-    """Return the names of numeric fields."""
-    return [name for name in message.names or () if message[name].kind in "iuf"]
+def _numbers(message: np.dtype[Any]) -> list[Leaf]:
+    """Return the numeric fields."""
+    return [leaf for leaf in leaves(message) if leaf.type.kind in "iuf"]
 
 
-def _shifted(original: Values, by: float) -> Values:
-    if original.dtype.kind == "f":
-        return (original + by).astype(original.dtype)
-    return _clipped([value + round(by) for value in original.tolist()], original.dtype)
+def _shifted(original: Values, by: float, leaf: Leaf) -> Values:
+    if leaf.type.kind == "f":
+        return (original + by).astype(leaf.type)
+    return _clipped([value + round(by) for value in original.ravel().tolist()], leaf).reshape(original.shape)
 
 
-def _times(original: Values, by: float) -> Values:
-    if original.dtype.kind == "f":
-        return (original * by).astype(original.dtype)
-    return _clipped([round(value * by) for value in original.tolist()], original.dtype)
+def _times(original: Values, by: float, leaf: Leaf) -> Values:
+    if leaf.type.kind == "f":
+        return (original * by).astype(leaf.type)
+    return _clipped([round(value * by) for value in original.ravel().tolist()], leaf).reshape(original.shape)
 
 
-def _between(least: Values, greatest: Values, chance: NDArray[np.float64]) -> Values:
-    if least.dtype.kind == "f":
-        return (least + chance * (greatest - least)).astype(least.dtype)
-    pairs = zip(least.tolist(), greatest.tolist(), chance.tolist(), strict=True)
-    return _clipped([low + int(share * (high - low + 1)) for low, high, share in pairs], least.dtype)
+def _between(least: Values, greatest: Values, chance: NDArray[np.float64], leaf: Leaf) -> Values:
+    if leaf.type.kind == "f":
+        return (least + chance * (greatest - least)).astype(leaf.type)
+    rows = zip(*(numbers.ravel().tolist() for numbers in (least, greatest, chance)), strict=True)
+    drawn = [low + int(share * (high - low + 1)) for low, high, share in rows]
+    return _clipped(drawn, leaf).reshape(least.shape)
 
 
-def _clipped(values: list[int], dtype: np.dtype[Any]) -> Values:
-    """Clip whole numbers to a type's range."""
-    lowest, highest = np.iinfo(dtype).min, np.iinfo(dtype).max
-    return np.array([min(max(value, lowest), highest) for value in values], dtype=dtype)
+def _clipped(values: list[int], leaf: Leaf) -> Values:
+    """Clip whole numbers to a field's range."""
+    lowest, highest = bounds(leaf.type, leaf.most)
+    return np.array([min(max(value, lowest), highest) for value in values], dtype=leaf.type)

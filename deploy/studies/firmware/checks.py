@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import Lattice
+from bus.wire.message_type import leaves
 from cell_firmware.cell import CellInputs, PerCellAdapter
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Firmware, Inputs, State
@@ -176,8 +177,11 @@ class FirmwareCheck:
         if not len(sent):
             return Verdict("message ranges", "skipped", "no message was sent")
         said: list[str] = []
-        for name in sent.dtype.names or ():
-            low, high = sent[name].min().item(), sent[name].max().item()
+        for leaf in leaves(sent.dtype):
+            name, values = leaf.name, leaf.of(sent)[leaf.used(sent)]
+            if not len(values):
+                continue
+            low, high = values.min().item(), values.max().item()
             text = f"{name} from {low!r} to {high!r}"
             if name in declared:
                 least, most = declared[name]

@@ -15,6 +15,7 @@ from cell_firmware.board import Board, ProgramStep
 from cell_firmware.controller import read_only
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, State
+from cell_firmware.message_values import values_of
 
 _CHANGES = 0.1
 """Probability that a reading changes from one tick to the next."""
@@ -106,8 +107,8 @@ class Trace:
             found.append(("a message sent to the", self.sent, other.sent, SIDES))
         if self.message is not None and other.message is not None:
             found += [
-                (f"message field {name} to the", self.message[name], other.message[name], SIDES)
-                for name in self.message.dtype.names or ()
+                (f"message field {value.name} to the", value.of(self.message), value.of(other.message), SIDES)
+                for value in values_of(self.message.dtype)
             ]
         return found
 

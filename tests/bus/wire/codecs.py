@@ -13,7 +13,7 @@ from bus.partition import Partition
 from bus.sensors import CameraFrame, SensorSchema
 from bus.wire.format import CoordinatorCodec, ParticipantCodec, RunSchema
 from bus.wire.formats import FORMATS, WireFormat
-from bus.wire.frames import check_message
+from bus.wire.message_type import check_message
 from tests.bus.support import grid
 
 MESSAGE = check_message(
@@ -30,10 +30,11 @@ def sides(
     levels: bool = False,
     labels: int = 0,
     camera: int = 0,
+    message: np.dtype[Any] = MESSAGE,
 ) -> tuple[CoordinatorCodec, list[ParticipantCodec]]:
     partition = Partition.even(grid(2, 3), 2)
     readings = SensorSchema(sensors, encoders, levels, labels, camera)
-    wiring = RunSchema("test", partition, readings, MESSAGE)
+    wiring = RunSchema("test", partition, readings, message)
     return FORMATS[form].coordinator(wiring), [FORMATS[form].participant(wiring, shard) for shard in range(2)]
 
 

@@ -11,12 +11,12 @@ from bus.errors import WireError
 from bus.wire.frames import (
     Control,
     Report,
-    check_message,
     decode_control,
     decode_report,
     encode_control,
     encode_report,
 )
+from bus.wire.message_type import check_message
 from tests.bus.wire.codecs import refusal
 
 
@@ -55,12 +55,16 @@ def test_a_record_names_no_more_cells_than_there_are() -> None:
         np.dtype("<f8"),
         np.dtype([("tick", "<f8")]),
         np.dtype([("v", "<f8")]),
-        np.dtype([("u", "<f8", (2,))]),
+        np.dtype([("u", "<f8", (0,))]),
+        np.dtype([("u", "<f8", (513,))]),
         np.dtype([("u", "O")]),
+        np.dtype([("u", "O", (2,))]),
         np.dtype([("u", "S4")]),
         np.dtype([("u", "<c16")]),
         np.dtype([("u", "<M8[s]")]),
-        np.dtype([("u", np.dtype([("x", "<f8")]))]),
+        np.dtype([("u", [("x", "S4")])]),
+        np.dtype([("u", [("a b", "<f8")])]),
+        np.dtype([("u", [("x", "<f8"), ("y", "<f8")], (33,))]),
         np.dtype([(f"u{i}", "<f8") for i in range(65)]),
     ],
 )
@@ -74,3 +78,5 @@ def test_a_message_type_is_made_packed_and_little_endian() -> None:
     packed = check_message(loose)
     assert packed.itemsize == 10
     assert packed == np.dtype([("n", "<i2"), ("u", "<f8")])
+    nested = np.dtype([("pose", np.dtype([("n", ">i2", (3,)), ("x", "<f8")], align=True), (2,))], align=True)
+    assert check_message(nested) == np.dtype([("pose", [("n", "<i2", (3,)), ("x", "<f8")], (2,))])

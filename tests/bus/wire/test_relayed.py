@@ -12,7 +12,8 @@ from bus.partition import Partition
 from bus.sensors import SensorSchema
 from bus.wire.format import RunSchema
 from bus.wire.formats import FORMATS
-from bus.wire.frames import DriveFrame, LinkFrame, SenseFrame, check_message
+from bus.wire.frames import DriveFrame, LinkFrame, SenseFrame
+from bus.wire.message_type import check_message
 from tests.bus.support import grid
 from tests.bus.wire.codecs import MESSAGE, refusal, sides
 
