@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, final
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bus.lattice import SIDES, Lattice
 from bus.sensors import CameraFrame, Labels
-from bus.wire.message_type import Leaf, bounded_lists, clear_tails, leaves
+from bus.wire.message_type import Leaf, bounded_lists, clear_tails, leaves, with_numbers
 from cell_firmware.message_values import misfit, values_of
 from cell_firmware.program import Program
 from cell_firmware.random_draws import Draws, no_draws
@@ -237,7 +237,7 @@ class Outbox:
         for leaf in leaves(message):
             found = _misfits(leaf, leaf.of(drafts), leaf.of(fixed))
             if found is not None and found.any():
-                wrong |= found.reshape(*wrong.shape, -1).any(axis=2)
+                wrong |= np.logical_or.reduce(found, axis=tuple(range(wrong.ndim, found.ndim)))
         wrong &= self.sent
         problems: dict[int, str] = {}
         for row in np.flatnonzero(wrong.any(axis=1)).tolist():
@@ -338,25 +338,6 @@ def draft_of(message: np.dtype[Any]) -> np.dtype[Any]:
     arrays is therefore stepped with a draft of its message type, and ``Outbox.settled`` rounds the draft.
     """
     return with_numbers(message, _draft)
-
-
-def with_numbers(
-    message: np.dtype[Any], number: Callable[[np.dtype[Any]], np.dtype[Any]], *, align: bool = False
-) -> np.dtype[Any]:
-    """Return a message type with other numbers.
-
-    Args:
-        message: The type.
-        number: From the type of a number to the other one.
-        align: Whether every number has an address that is a multiple of its size.
-    """
-    if message.subdtype is not None:
-        return np.dtype((with_numbers(message.base, number, align=align), message.shape))
-    if message.names is None:
-        return number(message)
-    return np.dtype(
-        [(name, with_numbers(message[name], number, align=align)) for name in message.names], align=align
-    )
 
 
 def _draft(field: np.dtype[Any]) -> np.dtype[Any]:

@@ -83,6 +83,8 @@ class ScalarFirmware(Firmware):
             sent, drafts = done["sent"].astype(np.bool_), np.ascontiguousarray(done["message"])
             drafts[~sent] = np.zeros((), dtype=drafts.dtype)
             outbox, misfits = Outbox(sent, drafts).settled(module.MESSAGE)
+            for row in np.flatnonzero(~np.isfinite(done["speed_m_s"]).all(axis=1)).tolist():
+                misfits.pop(row, None)  # that is the failure
         served = done["served"].astype(np.bool_)
         return after, Outputs(done["speed_m_s"].copy(), outbox, misfits or None, served)
 

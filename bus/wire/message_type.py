@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from math import prod
 from typing import Any, Final, NamedTuple
@@ -114,7 +114,7 @@ def each_all(found: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.boo
         found: Of the numbers, ``(*shape, *leaf.shape)``.
         shape: Of the messages.
     """
-    return found if found.shape == shape else np.logical_and.reduce(found.reshape(*shape, -1), axis=-1)
+    return np.logical_and.reduce(found, axis=tuple(range(len(shape), found.ndim)))
 
 
 def list_bound(kind: np.dtype[Any]) -> int | None:
@@ -132,7 +132,7 @@ def leaves(message: np.dtype[Any]) -> tuple[Leaf, ...]:
 
 @cache
 def bounded_lists(message: np.dtype[Any]) -> tuple[BoundedList, ...]:
-    """Return the lists of a message type, outer ones before those in their items."""
+    """Return the lists of a message type, outer lists first."""
     return tuple(part for part in _parts(message, (), 0) if isinstance(part, BoundedList))
 
 
@@ -183,11 +183,30 @@ def clear_tails(messages: NDArray[Any], message: np.dtype[Any]) -> None:
 
 
 def overlong(messages: NDArray[Any], message: np.dtype[Any]) -> NDArray[np.bool_]:
-    """Return which messages, of any shape, have a list that says to be longer than its bound."""
+    """Return the messages, of any shape, with a list longer than its bound: a mask."""
     wrong = np.zeros(messages.shape, dtype=np.bool_)
     for one in bounded_lists(message):
         wrong |= inside(messages, one.path)[LENGTH] > one.most
     return wrong
+
+
+def with_numbers(
+    message: np.dtype[Any], number: Callable[[np.dtype[Any]], np.dtype[Any]], *, align: bool = False
+) -> np.dtype[Any]:
+    """Return a message type with other numbers.
+
+    Args:
+        message: The type.
+        number: From the type of a number to the other one.
+        align: Whether every number has an address that is a multiple of its size.
+    """
+    if message.subdtype is not None:
+        return np.dtype((with_numbers(message.base, number, align=align), message.shape))
+    if message.names is None:
+        return number(message)
+    return np.dtype(
+        [(name, with_numbers(message[name], number, align=align)) for name in message.names], align=align
+    )
 
 
 def boolean_places(message: np.dtype[Any]) -> dict[str, range]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cell_firmware.firmware import with_numbers
+from bus.wire.message_type import with_numbers
 
 MOST_SENSORS = 5
 """Most presence sensors of a cell."""

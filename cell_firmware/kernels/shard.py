@@ -317,14 +317,14 @@ def run_tick(tick, shards):
             if RANDOM:
                 draw_cell(keys, window + 1, places[i], random)
             step(parameters[0], states[i], inputs, outputs)
-            wrong = -1
+            finite, wrong = np.isfinite(wanted[0]) and np.isfinite(wanted[1]), -1
             for side in range(4):
-                if s.messages and says[side] and wrong < 0:
+                if s.messages and finite and says[side] and wrong < 0:
                     clear_beyond(LISTS, draft[side])
                     word = first_misfit(VALUES, draft[side])
                     if word >= 0:
                         wrong, speed[i, 0] = side * len(VALUES) + word, draft[side, word]
-            if wrong >= 0 or not (np.isfinite(wanted[0]) and np.isfinite(wanted[1])):
+            if wrong >= 0 or not finite:
                 failed[i] = True
                 misfit[i] = wrong
                 failures += 1

@@ -14,6 +14,7 @@ from scipy.stats import binom
 
 from bus.lattice import Lattice
 from bus.partition import Partition
+from bus.wire.message_type import bounded_list
 from cell_firmware.clocks import ArrayClocks, CellClocks
 from cell_firmware.effects.registry import CellEffects
 from cell_firmware.effects.serial.spec import SerialSpec
@@ -315,3 +316,66 @@ def test_noise_has_the_requested_number_of_bytes_and_all_values() -> None:
     data = random_bytes(Half(), 3, 600, 8)  # pyright: ignore[reportArgumentType]
     assert data.shape == (600, 8)
     assert len(np.unique(data)) == 256
+
+
+class Vectors(Talker):
+    """The same with a vector, a record and a list."""
+
+    message = np.dtype(
+        [
+            ("pose", [("at", "<i2", (2,)), ("sure", "?")]),
+            ("path", bounded_list("i1", 3)),
+            ("real", "<f4", (2,)),
+        ]
+    )
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        inbox, tick = inputs.inbox, state["tick"]
+        assert inbox is not None
+        assert self.message is not None
+        for i, name in enumerate(
+            zip(*(state[key].tolist() for key in ("tick", "row", "column")), strict=True)
+        ):
+            got = inbox.message[i, 3]
+            self.received[name] = [got["pose"]["at"].tolist(), got["path"].tolist(), got["real"].tolist()]
+        outbox = Outbox.empty(len(tick), self.message)
+        outbox.sent[...] = True
+        outbox.message["pose"]["at"], outbox.message["real"][..., 1] = tick[:, None, None], 0.5
+        outbox.message["path"]["length"], outbox.message["path"]["items"] = 2, 1
+        return {**state, "tick": tick + 1}, Outputs(np.zeros((len(tick), 2)), outbox)
+
+
+@pytest.mark.parametrize(
+    ("lie", "expected"),
+    [
+        ({"by": 0.75, "field": "real"}, [[4, 4], (2, [1, 1, 0]), [0.75, 1.25]]),
+        ({"by": 10.0, "field": "pose.at"}, [[14, 14], (2, [1, 1, 0]), [0.0, 0.5]]),
+        ({"by": 9.0, "field": "path.items"}, [[4, 4], (2, [10, 10, 0]), [0.0, 0.5]]),
+        ({"by": 9.0, "field": "path.length"}, [[4, 4], (3, [1, 1, 0]), [0.0, 0.5]]),
+    ],
+)
+def test_a_lie_changes_numbers_in_records_vectors_and_lists(
+    lie: dict[str, Any], expected: list[Any], grid: Grid, lockstep: Any
+) -> None:
+    lattice, firmware = grid(1, 2), Vectors()
+    here = instances(lattice, {**HERE, "kind": "lie", "mode": "offset", **lie}, first=3)
+    steps = lockstep(firmware, Partition.even(lattice, 1), None, None, 0, None, here)
+    for _ in range(6):
+        steps.step()
+    assert not steps.failures
+    got, (length, items), real = firmware.received[5, 0, 1]
+    assert [got, (length, list(items)), real] == expected
+
+
+@pytest.mark.parametrize("mode", ["stuck", "random"])
+def test_a_lie_learns_vectors(mode: str, grid: Grid, lockstep: Any) -> None:
+    lattice, firmware = grid(1, 2), Vectors()
+    here = instances(lattice, {**HERE, "kind": "lie", "mode": mode, "field": "pose.at"}, first=3)
+    steps = lockstep(firmware, Partition.even(lattice, 1), None, None, 0, None, here)
+    for _ in range(30):
+        steps.step()
+    seen = [firmware.received[tick, 0, 1][0] for tick in range(3, 30)]
+    if mode == "stuck":
+        assert seen == [[2, 2]] * 27
+    else:
+        assert all(2 <= x <= tick - 1 for tick, pose in enumerate(seen, 3) for x in pose)
