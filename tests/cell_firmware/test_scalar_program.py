@@ -120,6 +120,16 @@ def test_a_step_in_python_reads_and_writes_records(tmp_path: Path, monkeypatch: 
         np.testing.assert_array_equal(found[tick][:, 0], u)
 
 
+def test_half_floats_are_refused_compiled_and_run_as_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind = program(tmp_path, PROGRAM.replace('("u", "<f8"), ("here"', '("u", "<f2"), ("here"'), STEP="1")
+    with pytest.raises(FirmwareError, match="can't be compiled: NotImplementedError: float16"):
+        kind(kind.Parameters()).scalar_kernels()
+    monkeypatch.setenv(PYTHON, "1")
+    assert drives(shard(kind), 3).any()
+
+
 def test_an_error_in_python_is_the_cell_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(PYTHON, "1")
     one = shard(program(tmp_path, PROGRAM, STEP="1 // (state.count - state.count)"))

@@ -230,6 +230,10 @@ def test_a_failing_program_raises_with_cell_tick_and_traceback() -> None:
         ),
         (lambda lab: lab.outbox[(0, 0), "up"], "side 'up': must be one of north, east, south, west"),
         (
+            lambda lab: lab.outbox.__setitem__(((0, 0), "east"), {"most": 0.5}),
+            "message field most to the east is 0.5: must be a whole number from -2147483648 to 2147483647 (int32)",
+        ),
+        (
             lambda lab: setattr(lab, "presence", np.zeros(4, dtype=np.bool_)),
             "presence: must be booleans of shape (9,) or (9, 1), not bool of shape (4,)",
         ),
