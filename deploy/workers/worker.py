@@ -194,11 +194,12 @@ def _serve(
         watched = partial(Watchdog, order.scene.stall.deadline_s, "stall.deadline_s")
         with asyncio.Runner(loop_factory=partial(TransportEventLoop, endpoint)) as runner:
             ended = runner.run(agent.run(cells, member, inject, records, first, watched))
-        doomed = order.own_process and dead_by_schedule(order, shard, schedule, first + ended.ticks)
+        doomed = dead_by_schedule(order, shard, schedule, first + ended.ticks)
         # Whoever had no cells left from the beginning stays none the less: the start waits for all.
         absent = order.resumed is not None and shard not in order.resumed.states
-        # Whoever kills itself earlier sometimes loses its last messages.
-        if (doomed or absent) and member.confirmed(first + ended.ticks) and order.killed:
+        # Whoever goes earlier is missed at the start, where all cells die in tick 0, or sometimes loses its last messages.
+        confirmed = (doomed or absent) and member.confirmed(first + ended.ticks)
+        if confirmed and order.own_process and order.killed:
             os.kill(os.getpid(), signal.SIGKILL)
     member.close()
     return ended
