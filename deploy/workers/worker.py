@@ -197,7 +197,7 @@ def _serve(
         doomed = dead_by_schedule(order, shard, schedule, first + ended.ticks)
         # Whoever had no cells left from the beginning stays none the less: the start waits for all.
         absent = order.resumed is not None and shard not in order.resumed.states
-        # Whoever goes earlier is missed at the start, where all cells die in tick 0, or sometimes loses its last messages.
+        # Whoever goes earlier sometimes loses its last messages, and is missed at the start if all die in tick 0.
         confirmed = (doomed or absent) and member.confirmed(first + ended.ticks)
         if confirmed and order.own_process and order.killed:
             os.kill(os.getpid(), signal.SIGKILL)

@@ -243,8 +243,13 @@ def test_a_program_that_never_returns_is_named_and_ends_a_run_in_one_process(
 
 
 @pytest.mark.parametrize("transport", ["memory", "zenoh"])
-def test_a_scene_in_which_all_cells_die_in_tick_0_runs_in_one_process_too(transport: str, tmp_path: Path) -> None:
-    crash = [Override(("faults",), [{"kind": "crash", "share": 1.0}], ""), Override(("duration_s",), 0.05, "")]
+def test_a_scene_in_which_all_cells_die_in_tick_0_runs_in_one_process_too(
+    transport: str, tmp_path: Path
+) -> None:
+    crash = [
+        Override(("faults",), [{"kind": "crash", "share": 1.0}], ""),
+        Override(("duration_s",), 0.05, ""),
+    ]
     options = RunOptions(0, transport, output=tmp_path, picture=False)  # type: ignore[arg-type]
     summary = run(load_scene("noisy", crash), options, quiet=True).summary
     assert (summary.status, summary.ticks) == ("ok", 13)
