@@ -50,7 +50,7 @@ def settle(constants: Any, state: Any, inputs: Any, outputs: Any, draw: Any) -> 
             state.beyond[side, 1] = inputs.message[side].east
             state.beyond[side, 2] = inputs.message[side].south
             state.beyond[side, 3] = inputs.message[side].west
-        elif state.counts[side] == 0:
+        if state.counts[side] == 0 or not 0 <= state.near[side] < constants.slots:
             state.near[side] = UNKNOWN
     in_frame = 0 <= state.slot < constants.slots
     if not in_frame or has_to_move(state.slot, state.counts, state.near, state.beyond):
