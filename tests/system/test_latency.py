@@ -151,3 +151,25 @@ def test_a_run_goes_on_from_a_checkpoint_with_drives_and_messages_under_way(
     resumed = run(scene_of(checkpoint), again, quiet=True, resumed=checkpoint).summary
     assert resumed.digest == whole.digest
     assert resumed.messages == whole.messages
+
+
+@pytest.mark.slow
+def test_cells_with_clocks_and_repairs_are_alike_with_latency(
+    small: Callable[[str], Path], tmp_path: Path
+) -> None:
+    repaired = '\n[[faults]]\nkind = "crash"\nat_s = 0.05\nuntil_s = 0.058\ncell = [1, 2]\n'
+    scene = _scene(small, TALKERS, BusSpec(sense_to_drive_ticks=4, link_ticks=3), repaired)
+    with_clocks = Override(
+        ("effects",), {"clock": {"error_ppm": 60_000.0, "exchanges_per_period": 2}, "motors": {}}, ""
+    )
+    path = small(repaired)
+    given = {"firmware": str(path.parent / "program.py")}
+    clocked = load_scene(
+        str(path),
+        [Override(("cells",), given, ""), Override(("bus",), scene.bus.model_dump(), ""), with_clocks],
+    )
+    for one in (scene, clocked):
+        digests = {way: _digest(one, way, tmp_path) for way in [WAYS[0], WAYS[7], EACH[2]]}
+        with Simulation.open(one, InProcess()) as simulation:
+            assert simulation.run().status == "ok"
+        assert len(set(digests.values())) == 1, digests
