@@ -41,7 +41,6 @@ MESSAGES: Final = "message."
 
 Sent = tuple[Bools, Messages]
 """Whether a slot has a message, ``(4 n,)``, and the messages, ``(4 n,)`` of the type of links."""
-UnderWay = list[Sent]
 
 
 @final
@@ -102,7 +101,7 @@ class Shard:
     """
 
     state_fields: ClassVar[StateFields] = StateFields(
-        "_tick", "_active", "_retired", "_drive", "_sent", "_outgoing", "_under_way", "_effects", "_memory"
+        "_tick", "_active", "_retired", "_drive", "_outboxes", "_effects", "_memory"
     )
 
     def __init__(
@@ -132,10 +131,8 @@ class Shard:
         self.shows_messages = False
         self._tick = -1
         self._drive = np.zeros((self._n, 2))
-        self._sent = np.zeros(self._n * 4, dtype=np.bool_)
-        self._outgoing: Messages = np.zeros(self._n * 4, dtype=self._message or np.bool_)
-        self._under_way: UnderWay = [self._nothing() for _ in range(link_ticks - 1)]
-        """Messages of the ticks before the last one that are not read yet, oldest first."""
+        self._outboxes: list[Sent] = [self._nothing() for _ in range(link_ticks)]
+        """Messages that are not read yet, a tick each, oldest first."""
 
         self._links = ShardLinks.of(partition, shard)
         self._controller, self._kernel = self._compiled(controller, cells.sensors)
@@ -205,9 +202,8 @@ class Shard:
         for stage in self._stages:
             inputs = stage.apply(tick, inputs, _EVERY if self._active is None else self._active)
         drive = np.zeros((self._n, 2))
-        if self._under_way:
-            self._under_way = [*self._under_way[1:], (self._sent, self._outgoing)]
-        self._sent = np.zeros(self._n * 4, dtype=np.bool_)
+        silence: Sent = np.zeros(self._n * 4, dtype=np.bool_), self._outboxes[-1][1]
+        self._outboxes = [*self._outboxes[1:], silence]
         failures: tuple[FirmwareFailed, ...] = ()
         hung: tuple[FirmwareFailed, ...] = ()
         if len(self._state.cells):
@@ -221,7 +217,8 @@ class Shard:
                 drive = outputs.drive
             else:
                 drive[active] = outputs.drive
-            self._store_outbox(outputs.outbox)
+            if outputs.outbox is not None and self._message is not None:
+                self._outboxes[-1] = self._sent_by_all(outputs.outbox, self._message)
             if outputs.failures:
                 failures = tuple(outputs.failures[i] for i in sorted(outputs.failures))
                 self.retire(failure.cell for failure in failures)
@@ -263,7 +260,6 @@ class Shard:
         if failures is None:
             return None
         self._tick = tick
-        *self._under_way, (self._sent, self._outgoing) = kernel.outboxes
         self._drive = kernel.buffers.drive
         if failures:
             return self._finish(kernel, kernel.result(failures))
@@ -276,15 +272,13 @@ class Shard:
         self._bind(kernel)
         received = None if links is None else (links.sent, links.message)
         done = kernel.step(self._tick, presence, encoder_m, received)
-        *self._under_way, (self._sent, self._outgoing) = kernel.outboxes
         return None if done is None else self._finish(kernel, done)
 
     def _bind(self, kernel: ShardKernel) -> None:
         """Put the state into the kernel's memory, unless it is there."""
-        outboxes = [*self._under_way, (self._sent, self._outgoing)]
-        if not kernel.is_bound(self._state, self._active, outboxes):
-            self._state = kernel.bind(self._state, self._active, outboxes)
-            *self._under_way, (self._sent, self._outgoing) = kernel.outboxes
+        if not kernel.is_bound(self._state, self._active, self._outboxes):
+            self._state = kernel.bind(self._state, self._active, self._outboxes)
+            self._outboxes = kernel.outboxes  # one list from now on
 
     def _finish(self, kernel: ShardKernel, done: TickResult) -> ShardOutputs:
         """Return the outputs of a tick by the kernel, and retire cells whose programs failed for good."""
@@ -311,7 +305,7 @@ class Shard:
             raise FirmwareError(
                 f"this is a bug: {links.message.shape} messages for {self._links.in_to.shape} incoming links"
             )
-        sent, outgoing = self._due
+        sent, outgoing = self._outboxes[0]
         collect(
             self._message.itemsize, sent, outgoing.view(np.uint8),
             self._links.inner_from, self._links.inner_to,
@@ -320,17 +314,14 @@ class Shard:
         )  # fmt: skip
         return Inbox(received, message)
 
-    def _store_outbox(self, outbox: Outbox | None) -> None:
-        """Store the cells' messages until the next tick."""
-        if outbox is None or self._message is None:
-            return
+    def _sent_by_all(self, outbox: Outbox, message: np.dtype[Any]) -> Sent:
+        """Return the messages of the live cells in the rows of all cells."""
         if self._active is None:
-            self._sent, self._outgoing = outbox.sent.ravel(), outbox.message.ravel()
-            return
+            return outbox.sent.ravel(), outbox.message.ravel()
         sent = np.zeros((self._n, 4), dtype=np.bool_)
-        outgoing = np.zeros((self._n, 4), dtype=self._message)
+        outgoing = np.zeros((self._n, 4), dtype=message)
         sent[self._active], outgoing[self._active] = outbox.sent, outbox.message
-        self._sent, self._outgoing = sent.ravel(), outgoing.ravel()
+        return sent.ravel(), outgoing.ravel()
 
     def retire(self, cells: Iterable[tuple[int, int]]) -> None:
         """Retire cells: no drive and no messages from now on; messages sent before still arrive.
@@ -369,7 +360,7 @@ class Shard:
         from cell_firmware.faults.attach import attach_fault, init_new_wrappers
 
         self._controller = attach_fault(
-            self._controller.general, lattice, site.seed, fault, link_ticks=len(self._under_way) + 1
+            self._controller.general, lattice, site.seed, fault, link_ticks=len(self._outboxes)
         )
         self._kernel = None
         drive = self._drive if self._active is None else self._drive[self._active]
@@ -395,7 +386,7 @@ class Shard:
     def _sent_messages(self, message: np.dtype[Any]) -> dict[str, NDArray[Any]]:
         """Return the messages of live cells in the last tick, by side, as registers."""
         rows = slice(None) if self._active is None else self._active
-        sent, fields = self._sent.reshape(-1, 4)[rows], self._outgoing.reshape(-1, 4)[rows]
+        sent, fields = (part.reshape(-1, 4)[rows] for part in self._outboxes[-1])
         return {
             f"{MESSAGES}sent": sent.copy(),
             **{f"{MESSAGES}{leaf.name}": leaf.of(fields).copy() for leaf in leaves(message)},
@@ -420,20 +411,12 @@ class Shard:
         """
         if self._message is None:
             raise FirmwareError("the program of the cells sends no messages")
-        sent, outgoing = self._due
+        sent, outgoing = self._outboxes[0]
         return Outbox(sent.reshape(-1, 4).copy(), outgoing.reshape(-1, 4).copy())
 
     @outbox.setter
     def outbox(self, outbox: Outbox) -> None:
-        if self._under_way:
-            self._under_way = [(outbox.sent.ravel(), outbox.message.ravel()), *self._under_way[1:]]
-        else:
-            self._sent, self._outgoing = outbox.sent.ravel(), outbox.message.ravel()
-
-    @property
-    def _due(self) -> Sent:
-        """Messages that the next tick reads, ``(4 n,)`` each: whether there is one, and the message."""
-        return self._under_way[0] if self._under_way else (self._sent, self._outgoing)
+        self._outboxes = [(outbox.sent.ravel(), outbox.message.ravel()), *self._outboxes[1:]]
 
     def counters(self) -> Counter[str]:
         """Return the counters of effects and boards so far, by ``effect.counter``, retired cells included."""
@@ -457,8 +440,9 @@ class Shard:
         from cell_firmware.kernels.messages import leave
 
         links = _links(len(self._links.out_from), self._message)
+        sent, outgoing = self._outboxes[-1]
         leave(
-            self._message.itemsize, self._sent, self._outgoing.view(np.uint8), self._links.out_from,
+            self._message.itemsize, sent, outgoing.view(np.uint8), self._links.out_from,
             links.sent, links.message.view(np.uint8),
         )  # fmt: skip
         return links

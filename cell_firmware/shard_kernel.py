@@ -143,7 +143,7 @@ class ShardKernel:
     Attributes:
         buffers: Inputs and outputs of a tick.
         hangs: Whether a cell whose program fails hangs, to be reset by its watchdog.
-        outboxes: Messages of the last ticks that are not read yet, oldest first.
+        outboxes: Messages of the last ticks that are not read yet, oldest first; one list while a state is bound.
     """
 
     def __init__(
@@ -184,7 +184,7 @@ class ShardKernel:
             bound is not None
             and bound[0] is state
             and bound[1] is rows
-            and all(own[0] is given[0] for own, given in zip(self.outboxes, outboxes, strict=True))
+            and self.outboxes is outboxes
             and (self._debounce is None or bound[2] is self._debounce.memory[0])
         )
 
@@ -319,9 +319,10 @@ class ShardKernel:
     def _turn_outboxes(self) -> None:
         """Exchange the outboxes after a tick: the one just filled, and the one to be read next."""
         assert self._spare is not None, "this is a bug: a step before a state was bound"
-        read, *later = self.outboxes
-        self.outboxes, self._spare = [*later, self._spare], read
-        if later:  # else the kernel exchanges both by itself
+        read = self.outboxes.pop(0)
+        self.outboxes.append(self._spare)
+        self._spare = read
+        if len(self.outboxes) > 1:  # else the kernel exchanges both by itself
             self._shard["current"] = 0
             for name, value in self._outbox_addresses().items():
                 self._shard[name] = value

@@ -218,7 +218,8 @@ class FrameAssembler:
 
     def missing(self, tick: int) -> list[int]:
         """Return the live parts of ``tick`` that have not arrived."""
-        have = self.slot(tick).have
+        slot = self._current if tick == self.now else self._early.get(tick)
+        have = bytes(len(self.end_tick)) if slot is None else slot.have
         intervals = enumerate(zip(self.first_tick, self.end_tick, strict=True))
         return [part for part, (since, until) in intervals if since <= tick < until and not have[part]]
 
