@@ -187,9 +187,10 @@ class Route:
 
 
 def file_of(frame: FrameType) -> str | None:
-    """File of a frame's code, from the root of the project; None for others' code."""
+    """File of a frame's code, from the root of the project; None for others' code, in an environment below it too."""
     path = frame.f_code.co_filename
-    return path[len(str(ROOT)) + 1 :] if path.startswith(f"{ROOT}/") else None
+    file = path[len(str(ROOT)) + 1 :] if path.startswith(f"{ROOT}/") else ""
+    return file if file.partition("/")[0] in (*OURS, "tests") else None
 
 
 def caller_of(frame: FrameType) -> str | None:
