@@ -179,7 +179,7 @@ def test_counting_up_ends_at_the_greatest_limit_and_does_not_begin_again_at_0(
     for name in ("neighbour", "distance"):
         program[name] = np.full_like(program[name], 65_528)
     shard._memory = {"firmware": program}
-    shard._outgoing["distance"] = 65_528
+    shard._outboxes[-1][1]["distance"] = 65_528
     steps.retire([(0, 0), (0, 1)])
     seen = np.array([settle(steps, 1) for _ in range(20)])[:, 2:]  # the others are dead
     assert seen[0].tolist() == [65_529] * 4

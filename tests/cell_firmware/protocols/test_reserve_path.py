@@ -106,7 +106,7 @@ def near_the_wrap(world: World, versions: bool, rounds: bool) -> World:
         moved = all_bits & ~((WRAP - 1) << bits) | new << bits
         return np.where(values > 0, moved, values).astype(values.dtype)
 
-    memory, sent = world.shard._memory, world.shard._outgoing
+    memory, sent = world.shard._memory, world.shard._outboxes[-1][1]
     program = dict(memory["firmware"])
     if versions:
         program |= {name: later(program[name], 40, tile) for name in ("own", "last")}
