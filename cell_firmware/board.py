@@ -23,9 +23,9 @@ from cell_firmware.firmware import (
     Outputs,
     State,
     can_settle,
-    draft_of,
     drafting,
 )
+from cell_firmware.message_drafts import array_draft
 from cell_firmware.message_tracer import TRACE, MessageTracer
 from cell_firmware.random_draws import CellStreams
 from cell_firmware.scalar import ScalarFirmware
@@ -116,7 +116,7 @@ class Board(Controller):
         parts: dict[str, BoardComponent | None] = {WHEELS: wheels, LINKS: links, METER: meter, TRACE: tracer}
         self.parts = {name: part for name, part in parts.items() if part is not None}
         message = None if firmware.refuses_misfits else firmware.message
-        draft = None if message is None else draft_of(message)
+        draft = None if message is None else array_draft(message)
         self._draft = None if draft == message else draft
 
     @property

@@ -6,14 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Final, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import SIDES, Lattice
 from bus.sensors import CameraFrame, Labels
-from bus.wire.message_type import Leaf, bounded_lists, clear_tails, leaves, with_numbers
+from bus.wire.message_type import Leaf, bounded_lists, clear_tails, leaves
 from cell_firmware.message_values import misfit, values_of
 from cell_firmware.program import Program
 from cell_firmware.random_draws import Draws, no_draws
@@ -324,26 +324,6 @@ class Firmware(Program, ABC):
     @abstractmethod
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """One control period of every cell."""
-
-
-_DOUBLE: Final = np.dtype("<f8")
-_WIDEST: Final = np.dtype(np.longdouble) if np.finfo(np.longdouble).nmant >= 63 else None
-"""A float that holds every 64-bit integer; None where the machine has none."""
-
-
-def draft_of(message: np.dtype[Any]) -> np.dtype[Any]:
-    """The message type with fields that hold what is written: floats of 64 bits, wider ones for 64-bit integers.
-
-    NumPy casts what a program writes into an array: 300 becomes 44 in an unsigned byte, NaN becomes 0. A program on
-    arrays is therefore stepped with a draft of its message type, and ``Outbox.settled`` rounds the draft.
-    """
-    return with_numbers(message, _draft)
-
-
-def _draft(field: np.dtype[Any]) -> np.dtype[Any]:
-    if field.kind in "iu" and field.itemsize == _DOUBLE.itemsize:
-        return _WIDEST or field
-    return _DOUBLE
 
 
 @contextmanager

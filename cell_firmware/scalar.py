@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.firmware import Firmware, Inputs, Outbox, Outputs, State
+from cell_firmware.message_drafts import plain_drafts
 
 
 class ScalarKernels(Protocol):
@@ -54,8 +55,29 @@ class ScalarFirmware(Firmware):
     def run_rows(
         self, constants: NDArray[Any], records: NDArray[Any], given: NDArray[Any], done: NDArray[Any]
     ) -> None:
-        """Step cells, row by row; see ``cell_firmware.kernels.shard.run_rows``."""
-        self.scalar_kernels().rows(constants, records, given, done)
+        """Step cells, row by row.
+
+        Args:
+            constants: One record.
+            records: ``(n,)`` of states, changed in place.
+            given: ``(n,)`` of ``inputs_type``.
+            done: ``(n,)`` of ``outputs_type`` that are not compiled, as before a step; is filled.
+        """
+        self.run_compiled(constants, records, given, done)
+
+    def run_compiled(
+        self, constants: NDArray[Any], records: NDArray[Any], given: NDArray[Any], done: NDArray[Any]
+    ) -> None:
+        """Step cells by the compiled step; see ``run_rows``."""
+        from cell_firmware.kernels.program import outputs_type
+
+        module = self.scalar_kernels()
+        outputs = np.zeros(len(done), dtype=outputs_type(module.MESSAGE))
+        outputs["served"] = done["served"]
+        module.rows(constants, records, given, outputs)
+        for name in ("speed_m_s", "served", "sent"):
+            done[name] = outputs[name]
+        done["message"] = plain_drafts(outputs["message"], module.MESSAGE)
 
     def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
         """One control period of every cell, for boards and faults that are stepped on arrays."""
@@ -75,7 +97,7 @@ class ScalarFirmware(Firmware):
             given["received"], given["message"] = inputs.inbox.received, inputs.inbox.message
         for name in self.random:
             given["random"][name] = inputs.random[name]
-        done = np.zeros(n, dtype=outputs_type(module.MESSAGE))
+        done = np.zeros(n, dtype=outputs_type(module.MESSAGE, compiled=False))
         done["served"] = 1
         self.run_rows(parameters_record(module.PARAMETERS, self.constants()), records, given, done)
         outbox, misfits = None, dict[int, str]()

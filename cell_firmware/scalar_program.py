@@ -122,11 +122,11 @@ class ScalarProgram(ScalarFirmware):
             run_in_python(self.step_function(), constants, records, given, done)
             return
         if self._compared >= self.compared_ticks:
-            self.scalar_kernels().rows(constants, records, given, done)
+            self.run_compiled(constants, records, given, done)
             return
         count = min(len(records), _COMPARED_CELLS)
         checked = records[:count].copy(), given[:count].copy(), done[:count].copy()
-        self.scalar_kernels().rows(constants, records, given, done)
+        self.run_compiled(constants, records, given, done)
         run_in_python(self.step_function(), constants, *checked)
         _compare("state", records[:count], checked[0])
         message = self.scalar_kernels().MESSAGE
@@ -150,12 +150,27 @@ def run_in_python(
     given: NDArray[Any],
     done: NDArray[Any],
 ) -> None:
-    """Step cells in Python, row by row; see ``cell_firmware.kernels.shard.run_rows``."""
-    views = [cast("Any", array).view(np.recarray) for array in (records, given, done)]
-    own = cast("Any", constants).view(np.recarray)[0]
+    """Step cells in Python, row by row; see ``ScalarFirmware.run_rows``."""
+    views = [_as_fields(array) for array in (records, given, done)]
+    own = _as_fields(constants)[0]
     with np.errstate(all="ignore"):  # as compiled code does
         for i in range(len(records)):
             step(own, *(view[i] for view in views))
+
+
+class FieldsRecord(np.record):  # pyright: ignore[reportIncompatibleVariableOverride] - NumPy says where its record is from
+    """Record whose fields come before what NumPy's records have: a field may be called ``sum``, ``max`` or ``size``."""
+
+    def __getattribute__(self, name: str) -> Any:
+        if name not in (np.void.__getattribute__(self, "dtype").names or ()):
+            return super().__getattribute__(name)
+        field = cast("Any", self)[name]
+        return field if getattr(field, "dtype", np.dtype("b")).names is None else _as_fields(field)
+
+
+def _as_fields(records: Any) -> Any:
+    """Return records, or an array of them, as ``FieldsRecord``."""
+    return records.view(np.dtype((FieldsRecord, records.dtype)))
 
 
 def _narrowed(outputs: NDArray[Any], message: np.dtype[Any]) -> NDArray[Any]:

@@ -21,6 +21,7 @@ from cell_firmware.kernels import shard as kernels
 from cell_firmware.kernels.arguments import readable
 from cell_firmware.kernels.program import inputs_type, outputs_type
 from cell_firmware.kernels.values import is_whole_draft
+from cell_firmware.message_drafts import WIDE, as_written
 from cell_firmware.message_values import misfit, values_of
 from cell_firmware.scalar import ScalarFirmware, parameters_record, state_records
 from cell_firmware.shard_links import Indices, ShardLinks
@@ -291,7 +292,9 @@ class ShardKernel:
             return f"drive is not finite: speed {self._speed[i].tolist()} m/s"
         values = values_of(self._module.MESSAGE)
         side, place = divmod(int(self._misfit[i]), len(values))
-        return misfit(values[place], SIDES[side], float(self._speed[i, 0]))
+        value, words = values[place], self._speed[i]
+        number = as_written(words.view(WIDE[value.type]))[0] if value.type in WIDE else float(words[0])
+        return misfit(value, SIDES[side], number)
 
     def _address(self, array: NDArray[Any]) -> int:
         """Address of an array in one piece, kept alive until the next binding."""

@@ -6,26 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from bus.wire.message_type import with_numbers
+from cell_firmware.message_drafts import array_draft, compiled_draft
 
 MOST_SENSORS = 5
 """Most presence sensors of a cell."""
 NO_MESSAGE = np.dtype([("none", "u1")])
 """Type in place of the messages of a program that has none."""
-_WIDE = 8
-"""Bytes of the integers that a step writes as they are."""
-
-
-def draft_type(message: np.dtype[Any]) -> np.dtype[Any]:
-    """Return the type into which a step writes messages: float64 for each number, and 64-bit integers as they are.
-
-    So a number that doesn't fit its field is seen when the draft is rounded to the type of the message.
-    """
-    return with_numbers(
-        message,
-        lambda field: field if field.kind in "iu" and field.itemsize == _WIDE else np.dtype("<f8"),
-        align=True,
-    )
 
 
 def inputs_type(message: np.dtype[Any], random: tuple[str, ...] = ()) -> np.dtype[Any]:
@@ -49,17 +35,15 @@ def inputs_type(message: np.dtype[Any], random: tuple[str, ...] = ()) -> np.dtyp
     )
 
 
-def outputs_type(message: np.dtype[Any]) -> np.dtype[Any]:
+def outputs_type(message: np.dtype[Any], *, compiled: bool = True) -> np.dtype[Any]:
     """Return the type of a step's outputs, which are zero before it, but for ``served``, which is 1.
 
-    Messages are drafts (``draft_type``).
+    Args:
+        message: Type of the messages.
+        compiled: Whether messages are drafts of a compiled step (``compiled_draft``), not in Python (``array_draft``).
     """
+    draft = compiled_draft(message) if compiled else array_draft(message)
     return np.dtype(
-        [
-            ("speed_m_s", "<f8", (2,)),
-            ("served", "u1"),
-            ("sent", "u1", (4,)),
-            ("message", draft_type(message), (4,)),
-        ],
+        [("speed_m_s", "<f8", (2,)), ("served", "u1"), ("sent", "u1", (4,)), ("message", draft, (4,))],
         align=True,
     )

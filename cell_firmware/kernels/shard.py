@@ -24,6 +24,7 @@ from cell_firmware.kernels.program import inputs_type, outputs_type
 from cell_firmware.kernels.speed_loop import LOOP, WHEELS
 from cell_firmware.kernels.values import (
     clear_beyond,
+    draft_words,
     first_misfit,
     is_whole_draft,
     list_records,
@@ -96,12 +97,12 @@ SHARD = np.dtype(
             "places",  # (a, 2): row and column of each live cell
             "outputs",  # (1,) of outputs_type; likewise
             "outputs_sent",
-            "outputs_draft",  # (4, numbers) of 8 bytes, the same memory as outputs.message
+            "outputs_draft",  # (4, words) of 8 bytes, the same memory as outputs.message
             "said",  # (4, size) bytes, the messages of a draft; the draft itself where it is one
             "line_received",  # (4,) bool
             "line",  # (4, size + head) bytes
             "failed",  # (a,) bool: whether a program drives what is no number, or sends what doesn't fit
-            "speed",  # (a, 2): that speed; or first the number that doesn't fit
+            "speed",  # (a, 2): that speed; or two words of the draft, of the number that doesn't fit
             "misfit",  # (a,): side of the message times numbers of a message, plus place in it; -1: speed is no number
             "believed",  # (n, sensors) bool, of the debouncing
             "readings",  # (n, sensors)
@@ -122,9 +123,10 @@ SIZE: Any = None
 RANDOM: Any = None
 VALUES: Any = None
 LISTS: Any = None
+DRAFT: Any = None
 WHOLE_DRAFT: Any = None
-"""A program's step, its types, the bytes of its messages, how many random numbers it has, and the numbers and lists of
-its messages: see ``compiled_program``."""
+"""A program's step, its types, the bytes of its messages, how many random numbers it has, the numbers and lists of its
+messages, and the words of a draft: see ``compiled_program``."""
 
 
 def run_rows(parameters, states, inputs, outputs):
@@ -267,8 +269,8 @@ def run_tick(tick, shards):
     received, message = array_at(s.inputs_received, 4, BOOL), array_at(s.inputs_message, (4, SIZE), BYTE)
     says, said = array_at(s.outputs_sent, 4, BOOL), array_at(s.said, (4, SIZE), BYTE)
     draft, draft_bits = (
-        array_at(s.outputs_draft, (4, len(VALUES)), DOUBLE),
-        array_at(s.outputs_draft, (4, len(VALUES)), LONG),
+        array_at(s.outputs_draft, (4, DRAFT), DOUBLE),
+        array_at(s.outputs_draft, (4, DRAFT), LONG),
     )
     line_received, line = array_at(s.line_received, 4, BOOL), array_at(s.line, (4, SIZE + lines.HEAD), BYTE)
     failed, speed = array_at(s.failed, live, BOOL), array_at(s.speed, (live, 2), DOUBLE)
@@ -321,9 +323,10 @@ def run_tick(tick, shards):
             for side in range(4):
                 if s.messages and finite and says[side] and wrong < 0:
                     clear_beyond(LISTS, draft[side])
-                    word = first_misfit(VALUES, draft[side])
-                    if word >= 0:
-                        wrong, speed[i, 0] = side * len(VALUES) + word, draft[side, word]
+                    place = first_misfit(VALUES, draft[side])
+                    if place >= 0:
+                        wrong, word = side * len(VALUES) + place, VALUES[place].word
+                        speed[i, 0], speed[i, 1] = draft[side, word], draft[side, min(word + 1, DRAFT - 1)]
             if wrong >= 0 or not finite:
                 failed[i] = True
                 misfit[i] = wrong
@@ -395,6 +398,7 @@ def compiled_program(
         "RANDOM": len(random),
         "VALUES": value_records(message),
         "LISTS": list_records(message),
+        "DRAFT": draft_words(message),
         "WHOLE_DRAFT": is_whole_draft(message),
     }
     tick = entry(INTEGER, written(SHARD, 1))(_for_program(run_tick, module, names))

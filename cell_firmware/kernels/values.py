@@ -1,22 +1,24 @@
-"""Drafts of messages, eight bytes a number: checked against the fields of the wire type, and rounded to them."""
+"""Drafts of messages, in words of eight bytes: checked against the fields of the wire type, and rounded to them."""
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from bus.wire.message_type import bounded_lists
 from cell_firmware.kernels.jit import kernel
-from cell_firmware.kernels.program import draft_type
+from cell_firmware.message_drafts import WIDE
 from cell_firmware.message_values import FieldValue, bounds, overflow, values_of
 
-RAW, REAL, WHOLE = 0, 1, 2
-"""Numbers of a draft: 64-bit integers as they are, float64 for a float, float64 for an integer or a truth value."""
+BITS, REAL, WHOLE = 0, 1, 2
+"""Numbers of a draft: ``WIDE`` for 64-bit integers, float64 for a float, float64 for an integer or a truth value."""
 
 VALUE = np.dtype(
     [
         ("kind", "<i8"),
+        ("word", "<i8"),  # first one in the draft, of 8 bytes
         ("start", "<i8"),  # first byte in the message
         ("size", "<i8"),  # bytes in the message
         ("low", "<f8"),  # least number that fits
@@ -26,46 +28,58 @@ VALUE = np.dtype(
 """A number of a message, in the order of the draft."""
 
 LIST = np.dtype([("length", "<i8"), ("items", "<i8"), ("item", "<i8"), ("most", "<i8")])
-"""A list in a message: places of its length and of its items in the draft, numbers of an item, and most items."""
+"""A list in a message: words of its length and of its first item in the draft, words of an item, and most items."""
 
 
 def value_records(message: np.dtype[Any]) -> np.ndarray[Any, np.dtype[Any]]:
     """Return the numbers of a message type, ``(w,)`` of ``VALUE``."""
-    return np.array([_value_record(value) for value in values_of(message)], dtype=VALUE)
+    places = _places(message)
+    records = [_value_record(value, word) for value, word in zip(values_of(message), places, strict=False)]
+    return np.array(records, dtype=VALUE)
 
 
-def _value_record(value: FieldValue) -> tuple[int, int, int, float, float]:
+def _places(message: np.dtype[Any]) -> list[int]:
+    """Return the first word in the draft of each number of a message type, and the number of words."""
+    return list(accumulate((2 if value.type in WIDE else 1 for value in values_of(message)), initial=0))
+
+
+def _value_record(value: FieldValue, word: int) -> tuple[int, int, int, int, float, float]:
     size, limit = value.type.itemsize, np.inf
     if value.type.kind == "f":
         limit = np.nextafter(overflow(value.type), 0.0)
-        return REAL, value.start, size, -limit, limit
+        return REAL, word, value.start, size, -limit, limit
     if value.type.kind == "b":
-        return WHOLE, value.start, size, 0.0, 1.0
-    if size == VALUE["start"].itemsize:
-        return RAW, value.start, size, -limit, limit
+        return WHOLE, word, value.start, size, 0.0, 1.0
+    if value.type in WIDE:
+        return BITS, word, value.start, size, -limit, limit
     low, high = bounds(value.type, value.leaf.most)
-    return WHOLE, value.start, size, low, high
+    return WHOLE, word, value.start, size, low, high
 
 
 def list_records(message: np.dtype[Any]) -> np.ndarray[Any, np.dtype[Any]]:
     """Return the lists of a message type, ``(l,)`` of ``LIST``, outer ones first."""
-    places = {value.start: place for place, value in enumerate(values_of(message))}
-    ends = {**places, message.itemsize: len(places)}
+    starts = [*(value.start for value in values_of(message)), message.itemsize]
+    words = dict(zip(starts, _places(message), strict=True))
     found: list[tuple[int, int, int, int]] = []
     for one in bounded_lists(message):
-        items, end = places[one.items_start], ends[one.items_start + one.most * one.item_bytes]
-        found.append((places[one.start], items, (end - items) // one.most, one.most))
+        items, end = words[one.items_start], words[one.items_start + one.most * one.item_bytes]
+        found.append((words[one.start], items, (end - items) // one.most, one.most))
     return np.array(found, dtype=LIST)
 
 
+def draft_words(message: np.dtype[Any]) -> int:
+    """Return how many words of 8 bytes a draft of a message has."""
+    return _places(message)[-1]
+
+
 def is_whole_draft(message: np.dtype[Any]) -> bool:
-    """Whether a draft of a message is the message itself, byte for byte."""
-    return all(value.type.itemsize == draft_type(value.type).itemsize for value in values_of(message))
+    """Whether a draft of a message is the message itself, byte for byte: all its numbers are float64."""
+    return all(value.type == np.float64 for value in values_of(message))
 
 
 @kernel
 def clear_beyond(lists, draft):
-    """Make the items beyond the length of every list zero, in a draft ``(w,)`` of float64."""
+    """Make the items beyond the length of every list zero, in a draft ``(words,)`` of float64."""
     for i in range(len(lists)):
         length = draft[lists[i].length]
         if length >= 0.0 and length <= lists[i].most:
@@ -80,15 +94,17 @@ def first_misfit(values, draft):
 
     Args:
         values: ``(w,)`` of ``VALUE``.
-        draft: ``(w,)`` float64; ``RAW`` numbers have other bits, and fit.
+        draft: ``(words,)`` float64.
     """
-    for word in range(len(values)):
-        kind, number = values[word].kind, draft[word]
-        if kind != RAW:
-            if not (number >= values[word].low and number <= values[word].high):  # which no NaN is
-                return word
-            if kind == WHOLE and np.floor(number) != number:
-                return word
+    for place in range(len(values)):
+        kind, word = values[place].kind, values[place].word
+        if kind == BITS:
+            if draft[word + 1] != 0.0:  # NaN too
+                return place
+            continue
+        in_range = draft[word] >= values[place].low and draft[word] <= values[place].high  # which no NaN is
+        if not in_range or (kind == WHOLE and np.floor(draft[word]) != draft[word]):
+            return place
     return -1
 
 
@@ -98,16 +114,16 @@ def round_draft(values, draft, bits, message):
 
     Args:
         values: ``(w,)`` of ``VALUE``.
-        draft: ``(w,)`` float64.
-        bits: ``(w,)``, the same memory as int64.
+        draft: ``(words,)`` float64.
+        bits: ``(words,)``, the same memory as int64.
         message: ``(size,)`` uint8, the packed message; is filled.
     """
-    for word in range(len(values)):
-        value = values[word]
-        number = bits[word]
+    for place in range(len(values)):
+        value = values[place]
+        number = bits[value.word]
         if value.kind == WHOLE:
-            number = np.int64(draft[word])
+            number = np.int64(draft[value.word])
         elif value.size == 4:
-            number = np.int64(np.float32(draft[word]).view(np.int32))
+            number = np.int64(np.float32(draft[value.word]).view(np.int32))
         for byte in range(value.size):
             message[value.start + byte] = (number >> (8 * byte)) & 255

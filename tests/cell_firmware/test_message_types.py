@@ -8,12 +8,11 @@ import pytest
 
 from bus.lattice import SIDES, Lattice
 from bus.partition import Partition
-from bus.wire.message_type import bounded_list
+from bus.wire.message_type import bounded_list, with_numbers
 from cell_firmware.board import Board
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter, cell_inputs
 from cell_firmware.compiled import compiled
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
-from cell_firmware.kernels.program import draft_type
 from cell_firmware.program import NoParameters
 from cell_firmware.scalar_program import COMPARED_TICKS, PYTHON, ScalarProgram
 from cell_firmware.shard import Shard
@@ -121,11 +120,14 @@ class Arrays(Firmware):
         return {**state, "tick": state["tick"] + 1}, Outputs(speed, outbox)
 
 
+GIVEN = with_numbers(MESSAGE, lambda kind: kind if kind == np.uint64 else np.dtype("<f8"), align=True)
+
+
 class Scalar(ScalarProgram):
     """The same in scalar form."""
 
     message = MESSAGE
-    constants_type = np.dtype([("given", draft_type(MESSAGE)), ("bad_tick", "<i8")], align=True)
+    constants_type = np.dtype([("given", GIVEN), ("bad_tick", "<i8")], align=True)
     state_type = np.dtype([("column", "<i8"), ("tick", "<i8")])
 
     def __init__(self, given: Mapping[str, Any], bad_tick: int) -> None:
@@ -133,7 +135,7 @@ class Scalar(ScalarProgram):
         self.given, self.bad_tick = given, bad_tick
 
     def constants(self) -> dict[str, Any]:
-        record = np.zeros((), dtype=draft_type(MESSAGE))
+        record = np.zeros((), dtype=GIVEN)
         put(record, self.given)
         return {"given": record, "bad_tick": self.bad_tick}
 
@@ -168,6 +170,109 @@ FORMS: dict[str, Callable[[Mapping[str, Any], int], Firmware | CellFirmware]] = 
     "arrays": Arrays,
     "scalar": Scalar,
 }
+
+
+class WideScalar(ScalarProgram):
+    """The middle cell sends 64-bit integers to the east: from an integer of either type, or from a float."""
+
+    message = np.dtype([("mark", "?"), ("one", "<i8"), ("list", bounded_list("<u8", 3)), ("last", "<i8")])
+    constants_type = np.dtype(
+        [("signed", "<i8"), ("unsigned", "<u8"), ("fraction", "<f8"), ("kind", "<i8"), ("bad_tick", "<i8")]
+    )
+    state_type = np.dtype([("column", "<i8"), ("tick", "<i8")])
+
+    def __init__(self, field: str, value: float | np.uint64, bad_tick: int) -> None:
+        super().__init__(NONE)
+        self.field, self.value, self.bad_tick = field, value, bad_tick
+
+    def constants(self) -> dict[str, Any]:
+        name = {int: "signed", np.uint64: "unsigned", float: "fraction"}[type(self.value)]
+        kind = ("signed", "unsigned", "fraction").index(name) + 3 * (self.field != "one")
+        return {name: self.value, "kind": kind, "bad_tick": self.bad_tick}
+
+    init = Scalar.init  # pyright: ignore[reportAssignmentType]
+
+    @staticmethod
+    def cell_step(constants: Any, state: Any, inputs: Any, outputs: Any) -> None:
+        outputs.speed_m_s[0] = 0.5
+        outputs.sent[EAST] = 1
+        message, kind = outputs.message[EAST], constants.kind
+        message.mark, message.last = True, -1
+        message.list.length = 2
+        for i in range(3):
+            message.list.items[i] = 6 + i
+        if state.column == CULPRIT and state.tick == constants.bad_tick:
+            if kind == 0:
+                message.one = constants.signed
+            elif kind == 1:
+                message.one = constants.unsigned
+            elif kind == 2:
+                message.one = constants.fraction
+            elif kind == 3:
+                message.list.items[1] = constants.signed
+            elif kind == 4:
+                message.list.items[1] = constants.unsigned
+            else:
+                message.list.items[1] = constants.fraction
+        state.tick += 1
+
+
+I8 = "must be a whole number from -9223372036854775808 to 9223372036854775807 (int64)"
+U8 = "must be a whole number from 0 to 18446744073709551615 (uint64)"
+WIDE_FITS = [
+    ("one", 2**62 + 1),
+    ("one", -(2**63)),
+    ("one", -(2.0**63)),
+    ("one", np.uint64(2**63 - 1)),
+    ("list", np.uint64(2**64 - 1)),
+    ("list", 2**63 - 1),
+    ("list", 2.0**63),
+]
+WIDE_MISFITS = [
+    ("one", 3.7, f"one to the east is 3.7: {I8}"),
+    ("one", float("nan"), f"one to the east is nan: {I8}"),
+    ("one", float("-inf"), f"one to the east is -inf: {I8}"),
+    ("one", 2.0**63, f"one to the east is 9223372036854775808: {I8}"),
+    ("one", np.uint64(2**63 + 5), f"one to the east is 9223372036854775813: {I8}"),
+    ("list", -1, f"list.items[1] to the east is -1: {U8}"),
+    ("list", -(2**63) + 1, f"list.items[1] to the east is -9223372036854775807: {U8}"),
+    ("list", -0.5, f"list.items[1] to the east is -0.5: {U8}"),
+    ("list", 2.0**64, f"list.items[1] to the east is 18446744073709551616: {U8}"),
+]
+
+
+def wide_message(field: str, value: float | np.uint64) -> bytes:
+    expected = np.zeros((), dtype=WideScalar.message)
+    expected["mark"], expected["last"] = True, -1
+    expected["list"]["length"], expected["list"]["items"][:2] = 2, (6, 7)
+    if field == "one":
+        expected["one"] = int(value)
+    else:
+        expected["list"]["items"][1] = int(value)
+    return expected.tobytes()
+
+
+@pytest.mark.filterwarnings("error")
+def test_integers_of_64_bits_are_checked_in_scalar_form_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(PYTHON, "1")
+    for field, value in WIDE_FITS:
+        shard, problems = stepped(WideScalar(field, value, 0), 0)
+        assert problems == []
+        assert arrived(shard).tobytes() == wide_message(field, value)
+    for field, value, problem in WIDE_MISFITS:
+        assert stepped(WideScalar(field, value, 0), 0)[1] == [f"message field {problem}"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_integers_of_64_bits_are_checked_in_compiled_steps() -> None:
+    for tick in (1, COMPARED_TICKS + 2):  # stepped on arrays and compared; in one call
+        for field, value in WIDE_FITS:
+            shard, problems = stepped(WideScalar(field, value, tick), tick)
+            assert problems == []
+            assert arrived(shard).tobytes() == wide_message(field, value)
+        for field, value, problem in WIDE_MISFITS:
+            assert stepped(WideScalar(field, value, tick), tick)[1] == [f"message field {problem}"]
 
 
 def shard_of(firmware: Firmware | CellFirmware) -> Shard:

@@ -120,6 +120,19 @@ def test_a_step_in_python_reads_and_writes_records(tmp_path: Path, monkeypatch: 
         np.testing.assert_array_equal(found[tick][:, 0], u)
 
 
+def test_fields_may_be_called_as_what_records_of_numpy_have(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(PYTHON, "1")
+    expected = drives(shard(program(tmp_path, PROGRAM, STEP="1")), 12)
+    other = PROGRAM.replace("state.u", "state.sum").replace(
+        'state_type = np.dtype([("u"', 'state_type = np.dtype([("sum"'
+    )
+    other = other.replace('return {"u"', 'return {"sum"').replace("count", "size").replace('"here"', '"max"')
+    other = other.replace("].here", "].max").replace("gain", "real")
+    np.testing.assert_array_equal(drives(shard(program(tmp_path, other, STEP="1")), 12), expected)
+
+
 def test_half_floats_are_refused_compiled_and_run_as_python(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
