@@ -70,7 +70,7 @@ def load_scene(scene: str | Path | Mapping[str, Any], overrides: Sequence[Overri
         SceneError: It is refused; all that is wrong with it, one line each.
     """
     if isinstance(scene, Mapping):
-        return _validated(_with_names(scene), "<dict>", overrides)
+        return _validated(_with_names(scene), "(a dictionary)", overrides)
     scene = str(scene)
     text = scene_text(scene)
     folder = None if scene in bundled_names() else Path(scene).parent

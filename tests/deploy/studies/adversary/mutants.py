@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from cell_firmware.firmware import Inputs, Outputs, State
+from cell_firmware.protocols.average_consensus import AverageConsensus
 from mdms import SIDES, ArrayView, Cell, CellFirmware, CellInputs, CellOutputs
 
 HALF = 1 << 15
@@ -72,36 +75,24 @@ class PlainWords(SerialWords):
 # --- averages ---------------------------------------------------------------------------------------
 
 
-class LossyAverage(CellFirmware):
-    """Mutant of ``average_consensus``: linear iterations without flows, so that a lost message changes the mean."""
-
-    message = np.dtype([("value", "<f8")])
-
-    def init(self, cell: Cell) -> _Estimate:
-        given = float(cell.row + 2 * cell.column)
-        return _Estimate(given, given)
-
-    def step(self, state: _Estimate, inputs: CellInputs) -> tuple[_Estimate, CellOutputs]:
-        value = state.value
-        for word in inputs.inbox.values():
-            if word is not None:
-                value += 0.25 * (word["value"] - state.value)
-        value = round(value * 1024) / 1024 if abs(value - state.value) < 1e-6 else value
-        return _Estimate(state.given, value), CellOutputs(
-            (0.0, 0.0), {side: {"value": value} for side in SIDES}
-        )
+class Averaging(AverageConsensus):
+    """``average_consensus`` with its condition."""
 
     def eventually(self, view: ArrayView) -> Iterable[tuple[str, Any, int]]:
-        yield "the mean is that of the given values", _means_agree(view), 12
+        agrees = abs(view["value"].mean() - view["given"].mean()) < 1e-3
+        yield "the mean is that of the given values", bool(agrees), 40
 
 
-class _Estimate(NamedTuple):
-    given: float
-    value: float
+class AveragingWithoutFlows(Averaging):
+    """Mutant: linear iterations as of Xiao and Boyd, without flows, so that a lost message changes the mean."""
 
-
-def _means_agree(view: ArrayView) -> bool:
-    return bool(abs(view["value"].mean() - view["given"].mean()) < 1e-3)
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        assert inputs.inbox is not None
+        message = inputs.inbox.message.copy()
+        message["flow"] = 0.0
+        bare = {**state, "given": state["value"], "flow": np.zeros_like(state["flow"])}
+        after, outputs = super().step(bare, replace(inputs, inbox=replace(inputs.inbox, message=message)))
+        return {**after, "given": state["given"]}, outputs
 
 
 # --- a hand-over in two phases ----------------------------------------------------------------------

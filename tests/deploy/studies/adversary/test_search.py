@@ -28,10 +28,11 @@ from deploy.workers.plan import RunOptions
 from mdms import SIDES, Cell, CellFirmware, CellInputs, CellOutputs, Lattice
 from tests.deploy.lab.programs import Gossip
 from tests.deploy.studies.adversary.mutants import (
+    Averaging,
+    AveragingWithoutFlows,
     Corner,
     HandOver,
     HandOverUnacknowledged,
-    LossyAverage,
     NearTree,
     PlainWords,
     SerialWords,
@@ -40,29 +41,31 @@ from tests.deploy.studies.adversary.mutants import (
     Wave,
 )
 
-NEAR_WRAP = {"version": 65_534}
+NEAR_WRAP: dict[str, Any] = {"initial_registers": {"version": 65_534}}
+UNEQUAL: dict[str, Any] = {"parameters": {"values": [{"cell": [0, 0], "value": 1.0}]}}
 CASES: dict[type, tuple[tuple[int, int], Adversary, dict[str, Any]]] = {
     PlainWords: ((1, 3), Adversary(1, 16, ("loss", "delay")), NEAR_WRAP),
-    LossyAverage: ((1, 2), Adversary(1, 12, ("outage",), outages=(3,)), {}),
+    AveragingWithoutFlows: ((1, 3), Adversary(1, 12, ("outage",), outages=(3, 25)), UNEQUAL),
     HandOverUnacknowledged: ((1, 3), Adversary(1, 12, ("loss", "delay")), {}),
     TreeOfTheDead: ((2, 2), Adversary(1, 6, ("loss", "death")), {}),
 }
 RIGHT: dict[type, tuple[tuple[int, int], Adversary, dict[str, Any]]] = {
     SerialWords: ((1, 3), Adversary(2, 16, ("loss", "delay")), NEAR_WRAP),
+    Averaging: ((1, 3), Adversary(1, 12, ("loss", "outage"), outages=(3, 25)), UNEQUAL),
     HandOver: ((1, 3), Adversary(2, 12, ("loss", "delay")), {}),
     Tree: ((2, 2), Adversary(2, 6, ("loss", "delay", "death", "repair")), {}),
 }
 RULES = {
     PlainWords: "all cells know the source's word",
-    LossyAverage: "the mean is that of the given values",
+    AveragingWithoutFlows: "the mean is that of the given values",
     HandOverUnacknowledged: "a cell has the reservation",
     TreeOfTheDead: "the root of each cell is alive",
 }
 
 
 def _found(firmware: type, **options: Any) -> tuple[Any, Counterexample | None]:
-    world, adversary, registers = {**CASES, **RIGHT}[firmware]
-    scene = world_scene(firmware, world, initial_registers=registers)
+    world, adversary, given = {**CASES, **RIGHT}[firmware]
+    scene = world_scene(firmware, world, **given)
     return check_exhaustively(scene, adversary, **options)
 
 

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from bus.lattice import Lattice
+from cell_firmware.firmware import Inputs, Outputs, State
 from cell_firmware.protocols.reserve_path import ReservePath
+from cell_firmware.protocols.route import Route
+from cell_firmware.tiles import messages
 from cell_firmware.tiles.messages import TileMode, doing, newest
 from mdms import ArrayView
 
@@ -27,6 +30,12 @@ def parameters(tiles: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def with_a_second_exit(tiles: int) -> dict[str, Any]:
+    """Parameters in which the parcel's label, 1, makes a difference."""
+    given = parameters(tiles)
+    return {**given, "exits": [*given["exits"], {"tile": [0, 0], "side": "north"}]}
+
+
 class OneParcel(ReservePath):
     """``reserve_path`` with the condition that holds for one parcel: no two tiles have it."""
 
@@ -36,6 +45,36 @@ class OneParcel(ReservePath):
         words = [newest(np.where(tile == one, own, 0)[None])[0] for one in range(int(tile.max()) + 1)]
         having = [int(doing(np.array([word]))[0]) >= TileMode.HOLD for word in words]
         yield "a parcel is in one reservation at most", sum(having) <= 1
+
+
+class OneLabelled(Route):
+    """``route`` with the same condition; a parcel is labelled 1 wherever it is sensed, by no scanner."""
+
+    invariants = OneParcel.invariants  # pyright: ignore[reportAssignmentType]
+
+    def required_effects(self) -> tuple[str, ...]:
+        return ()
+
+    def labels(self, inputs: Inputs) -> np.ndarray:
+        return np.ones(len(inputs.presence), dtype=np.int64)
+
+
+class Passing(OneLabelled):
+    """``route`` with a condition for a run in which no fault holds the parcel up."""
+
+    def eventually(self, view: ArrayView) -> Iterable[tuple[str, Any, int]]:
+        yield "the tiles get rid of the parcel", doing(view["own"]) <= TileMode.FREE, 90
+
+
+class PlainVersions(Passing):
+    """Mutant: versions are compared as numbers, so that after a wrap no word is newer than an old one."""
+
+    def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+        serial, messages._ahead = messages._ahead, lambda serials, known: np.where(known, serials, -1)
+        try:
+            return super().step(state, inputs)
+        finally:
+            messages._ahead = serial
 
 
 class TwoAtOnce(OneParcel):
