@@ -56,6 +56,7 @@ SCRIPTS: dict[str, Smoke] = {
     ),
     "cells/shard_against_cells.py": Smoke("--side 50 --turns 1", rf"arrays are {N} times as fast"),
     "cells/wheel_drive.py": Smoke("", rf"ripple, 256 levels: {N} m/s"),
+    "deploy/observation_cost.py": Smoke("--turns 1 --seconds 0.2", rf"--registers 1 +{N} ticks/s +ratio {N}"),
     "deploy/campaign_cost.py": Smoke(
         "--runs 2 --turns 1 --duration 0.05", rf"1 job {N}, 2 jobs {N}: {N} times"
     ),

@@ -8,6 +8,9 @@ from typing import Any
 
 import pytest
 
+from cell_firmware.invariants import InvariantMonitor
+from cell_firmware.message_tracer import MessageTracer
+from cell_firmware.random_draws import CellStreams
 from deploy import cli
 from deploy.runs.run import run
 from deploy.scenes.scene import Scene
@@ -38,6 +41,20 @@ def test_a_run_stops_at_the_first_violation_with_tick_cells_and_values(tmp_path:
         "kind": "always", "rule": "the number never exceeds 12", "tick": 7, "cells": [[1, 3]],
         "values": {"most": [13.0]},
     }  # fmt: skip
+
+
+def test_a_run_for_which_nothing_is_asked_has_no_monitor_tracer_or_generator(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unwanted(self: object, *_: object) -> None:
+        pytest.fail(f"a {type(self).__name__} was made")
+
+    for kind in (InvariantMonitor, MessageTracer, CellStreams):
+        monkeypatch.setattr(kind, "__init__", unwanted)
+    assert _summary(_scene(4, firmware=Gossip), tmp_path / "plain")["status"] == "ok"
+    for number, options in enumerate(({"check": "stop"}, {"trace_messages": "all"})):
+        with pytest.raises(pytest.fail.Exception, match="was made"):
+            _summary(_scene(4, firmware=Gossip), tmp_path / str(number), **options)
 
 
 def test_counted_violations_fail_the_run_at_its_end(tmp_path: Path) -> None:
