@@ -51,10 +51,11 @@ def test_a_run_for_which_nothing_is_asked_has_no_monitor_tracer_or_generator(
 
     for kind in (InvariantMonitor, MessageTracer, CellStreams):
         monkeypatch.setattr(kind, "__init__", unwanted)
-    assert _summary(_scene(4, firmware=Gossip), tmp_path / "plain")["status"] == "ok"
-    for number, options in enumerate(({"check": "stop"}, {"trace_messages": "all"})):
+    for firmware in (Counting, Gossip):
+        assert _summary(_scene(4, firmware=firmware), tmp_path / f"plain {firmware.__name__}")["ticks"] == 20
+    for firmware, options in ((Counting, {"check": "stop"}), (Gossip, {"trace_messages": "all"})):
         with pytest.raises(pytest.fail.Exception, match="was made"):
-            _summary(_scene(4, firmware=Gossip), tmp_path / str(number), **options)
+            _summary(_scene(4, firmware=firmware), tmp_path / firmware.__name__, **options)
 
 
 def test_counted_violations_fail_the_run_at_its_end(tmp_path: Path) -> None:
