@@ -40,10 +40,10 @@ def export(
         ),
     ] = None,
 ) -> None:
-    """Write a recording, complete or truncated, in the formats of other tools; print the files.
+    r"""Write a recording, complete or truncated, in the formats of other tools; print the files.
 
     No value is rounded, except in the pictures of foxglove. Existing files are replaced. All formats but csv need the
-    extra export: pip install 'mdms-emulator[export]'.
+    extra export: pip install 'mdms-emulator\[export]'.
 
       [cyan]mdms export runs/NAME --to netcdf[/cyan]
       [cyan]mdms export runs/NAME --to parquet --output tables[/cyan]

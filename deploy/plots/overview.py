@@ -170,7 +170,7 @@ def _below(ratio: float, timed: bool) -> tuple[float, float, list[_Box]]:
 def subtitle_of(track: RunTrace) -> str:
     """Return the facts of a run for the line under a plot's title."""
     parts = [
-        track.scene,
+        *([track.scene] if track.title else []),  # else it is the title
         plural(len(track.positions_m), "cell"),
         plural(len(track.footprints_m), "parcel"),
     ]

@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, Any, Final
 
+from bus.wire.message_type import ITEMS, LENGTH
 from deploy.errors import InputError
 from deploy.plots.overview import subtitle_of
 from deploy.plots.theme import DPI, draw_heading
@@ -27,6 +29,10 @@ _MOST_TICKS: Final = 200
 _MOST_CELLS: Final = 24
 _LABELLED: Final = 48
 """Most messages whose values are written beside their arrows."""
+_LABEL_WIDTH: Final = 15
+"""Most characters in a line of these values; there are two lines."""
+_WIDE: Final = 10**8
+"""Integers from which on labels round them."""
 _COLOURS: Final = {
     "read": "#2f6f9f",
     "late": "#c77d0a",
@@ -157,14 +163,22 @@ def _draw_message(
 
 
 def _words(values: dict[str, Any]) -> str:
-    """Return the values of a message in few characters."""
-    return " ".join(_short(value) for value in values.values())
+    """Return the values of a message in two short lines; of lists, the items that are used."""
+    shown = list[str]()
+    for name, value in values.items():
+        stem, _, last = name.rpartition(".")
+        length = values.get(f"{stem}.{LENGTH}") if last == ITEMS else None
+        if last != LENGTH or f"{stem}.{ITEMS}" not in values:
+            shown.append(_short(value if length is None else value[:length]))
+    lines = textwrap.wrap(" ".join(shown), _LABEL_WIDTH, max_lines=2, placeholder="…", break_long_words=False)
+    return "\n".join(lines)
 
 
 def _short(value: Any) -> str:
-    if isinstance(value, bool) or not isinstance(value, float):
-        return str(value).replace(" ", "")
-    return f"{value:.3g}"
+    if isinstance(value, (list, tuple)):
+        return f"[{','.join(_short(one) for one in value)}]"
+    wide = isinstance(value, int) and abs(value) >= _WIDE
+    return f"{value:.3g}" if wide or isinstance(value, float) else str(value)
 
 
 def _draw_key(axes: Axes, fates: set[str], across_in: float) -> None:

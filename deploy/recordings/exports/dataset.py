@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bus.lattice import SIDES
 from deploy.recordings.exports.extra import library
 from deploy.recordings.format import PARCEL_NUMBERS
 from deploy.recordings.trace import mask_absent
@@ -34,7 +36,8 @@ def to_xarray(recording: RecordingSource) -> xarray.Dataset:
     """Return all that a recording holds as a dataset.
 
     Dimensions are ``time``, ``parcel``, ``cell``, ``wheel`` (``x``, ``y``), ``sensor``, ``corner``, and
-    ``register_time`` with the recorded registers. Events, faults and commands are JSON texts, as they were recorded.
+    ``register_time``, ``message_time`` and ``trace_time`` with recorded registers, messages and the trace of messages,
+    by ``side`` (north, east, south, west). Events, faults and commands are JSON texts, as they were recorded.
 
     Raises:
         InputError: xarray is not installed.
@@ -45,6 +48,7 @@ def to_xarray(recording: RecordingSource) -> xarray.Dataset:
             **_parcels(recording),
             **_cells(recording),
             **_registers(recording),
+            **_messages(recording),
             **_records(recording),
         },
         coords=_coordinates(recording),
@@ -77,7 +81,9 @@ def _coordinates(recording: RecordingSource) -> dict[str, Any]:
     header = recording.header
     cells = np.array(header["cells"], dtype=np.int64).reshape(-1, 2)
     positions = np.array(header["positions_m"], dtype=np.float64).reshape(-1, 2)
+    sides = len(recording.message_tick) or len(recording.trace_tick)
     return {
+        **({"side": ("side", list(SIDES), {"long_name": "side of the cell"})} if sides else {}),
         "time": ("time", recording.time_s, _about("simulated time", "s")),
         "time_ns": ("time", recording.time_ns, _about("simulated time", "ns")),
         "tick": ("time", recording.tick, _about("number of the tick that begins")),
@@ -142,15 +148,44 @@ def _cells(recording: RecordingSource) -> dict[str, Any]:
 
 
 def _registers(recording: RecordingSource) -> dict[str, Any]:
-    if not len(recording.register_tick):
+    about = "tick after which it was read"
+    return _by_tick("register", ("cell",), about, recording.register_tick, recording.registers)
+
+
+def _messages(recording: RecordingSource) -> dict[str, Any]:
+    """Return recorded messages and the trace of messages, each with the ticks of its own."""
+    sides = ("cell", "side")
+    sent = _by_tick("message", sides, "tick in which it was sent", recording.message_tick, recording.messages)
+    numbers = {name: values for name, values in recording.trace.items() if values.ndim == 2}
+    by_side = {name: values for name, values in recording.trace.items() if name not in numbers}
+    about = "tick of the program's step"
+    traced = _by_tick("trace", ("traced_cell",), about, recording.trace_tick, numbers)
+    return sent | traced | _by_tick("trace", ("traced_cell", "side"), about, recording.trace_tick, by_side)
+
+
+def _by_tick(
+    kind: str,
+    dimensions: tuple[str, ...],
+    about: str,
+    ticks: NDArray[np.int64],
+    arrays: Mapping[str, NDArray[Any]],
+) -> dict[str, Any]:
+    """Return variables that are recorded in some ticks, and these ticks; none where nothing was recorded.
+
+    Args:
+        kind: Prefix of the names.
+        dimensions: After that of the ticks.
+        about: What a tick means.
+        ticks: ``(K,)``.
+        arrays: ``(K, ...)`` by name.
+    """
+    if not len(ticks):
         return {}
-    found: dict[str, Any] = {
-        "register_tick": ("register_time", recording.register_tick, _about("tick after which it was read"))
-    }
-    for name, values in recording.registers.items():
-        more = [f"{name.replace('/', '_')}_{axis}" for axis in range(values.ndim - 2)]
+    found: dict[str, Any] = {f"{kind}_tick": (f"{kind}_time", ticks, _about(about))}
+    for name, values in arrays.items():
         safe = name.replace("/", "_")  # which names no variable of a netCDF file
-        found[f"register {safe}"] = (("register_time", "cell", *more), values, {"long_name": name})
+        more = [f"{safe}_{axis}" for axis in range(values.ndim - 1 - len(dimensions))]
+        found[f"{kind} {safe}"] = ((f"{kind}_time", *dimensions, *more), values, {"long_name": name})
     return found
 
 

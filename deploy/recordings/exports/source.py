@@ -53,6 +53,14 @@ class RecordingSource(Protocol):
     @property
     def registers(self) -> dict[str, NDArray[Any]]: ...  # noqa: D102
     @property
+    def message_tick(self) -> NDArray[np.int64]: ...  # noqa: D102
+    @property
+    def messages(self) -> dict[str, NDArray[Any]]: ...  # noqa: D102
+    @property
+    def trace_tick(self) -> NDArray[np.int64]: ...  # noqa: D102
+    @property
+    def trace(self) -> dict[str, NDArray[Any]]: ...  # noqa: D102
+    @property
     def events(self) -> Sequence[dict[str, Any]]: ...  # noqa: D102
     @property
     def faults(self) -> Sequence[dict[str, Any]]: ...  # noqa: D102

@@ -61,6 +61,13 @@ def recording(tmp_path: Path, made_up_run: Make) -> Recording:
                 "n/a": np.arange(12, dtype=np.int32),
             }
             recorder.registers(tick, tick * 4_096_000, registers)
+        for tick in (2, 3, 5):
+            sent = np.arange(48).reshape(12, 4) % tick == 0
+            recorder.messages(
+                tick, tick * 4_096_000, {"sent": sent, "pose.at": np.full((12, 4, 2), tick / 3)}
+            )
+        traced = {"cell": np.array([2, 7]), "read.u": np.arange(8, dtype=np.uint64).reshape(2, 4) + 2**63}
+        recorder.trace(6, 6 * 4_096_000, traced)
         recorder.control({"time_s": 0.03, "kind": "pause", "tick": 7})
         recorder.close("ok", "ab" * 32)
     return load(tmp_path / "run")
@@ -87,6 +94,12 @@ def test_a_netcdf_file_gives_back_every_value_bit_for_bit(recording: Recording, 
         assert same_bits(found["register n_a"].values, recording.registers["n/a"])
         assert same_bits(found["register_tick"].values, recording.register_tick)
         assert found["register n_a"].attrs["long_name"] == "n/a"
+        assert same_bits(found["message_tick"].values, np.array([2, 3, 5]))
+        assert found["message pose.at"].dims[:3] == ("message_time", "cell", "side")
+        for name in ("sent", "pose.at"):
+            assert same_bits(found[f"message {name}"].values, recording.messages[name])
+        assert found["trace cell"].values.tolist() == [[2, 7]]
+        assert found["trace read.u"].sel(side="west").values.tolist() == [[2**63 + 3, 2**63 + 7]]
         assert [json.loads(text) for text in found["events"].values] == EVENTS
         assert [json.loads(text) for text in found["faults"].values] == FAULTS
         assert json.loads(found["header"].item()) == recording.header
@@ -101,7 +114,7 @@ def test_every_number_of_the_dataset_has_a_name_and_units(recording: Recording) 
     number = {
         name
         for name, variable in dataset.variables.items()
-        if variable.dtype.kind == "f" and name[:9] != "register "
+        if variable.dtype.kind == "f" and name.partition(" ")[0] not in ("register", "message", "trace")
     }
     assert all(dataset[name].attrs["units"] for name in number)
     assert dataset["drives"].attrs["units"] == "m s-1"
