@@ -21,6 +21,8 @@ _HEALTH: Final = ("alive", "faulty", "dead or lost")
 _INBOX: Final = ("received", "neighbour", "inbox", "heard", "unheard")
 _OUTBOX: Final = ("sent", "outbox", "said")
 """Last part of the names of registers that tell of messages received and sent."""
+_EXACT: Final = 2**53
+"""Greatest integer up to which a browser's numbers are exact."""
 
 Row = dict[str, Any]
 
@@ -188,11 +190,13 @@ def parcel_facts(
 
 
 def _row(name: str, value: object, unit: str = "") -> Row:
-    """Return a line of the inspector; numbers that are not finite become None."""
+    """Return a line of the inspector; numbers that are not finite become None, long integers their digits."""
     if isinstance(value, list):
         value = [_number(part) for part in cast("list[object]", value)]
     return {"name": name, "value": _number(value), "unit": unit}
 
 
 def _number(value: object) -> object:
+    if isinstance(value, int) and abs(value) > _EXACT:
+        return str(value)
     return None if isinstance(value, float) and not np.isfinite(value) else value
