@@ -28,7 +28,7 @@ from cell_firmware.firmware import (
 from cell_firmware.message_drafts import array_draft
 from cell_firmware.message_tracer import TRACE, MessageTracer
 from cell_firmware.random_draws import CellStreams
-from cell_firmware.scalar import ScalarFirmware
+from cell_firmware.scalar import ScalarFirmware, state_problem
 from cell_firmware.stepping import NOW
 
 PROGRAM = "firmware"
@@ -161,6 +161,7 @@ class Board(Controller):
         try:
             program = read_only(_checked_state(make(np.arange(n)), None, n))
             _check_observed(self.firmware, program)
+            _check_fields(self.firmware, program)
         except BaseException as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
             problem, trace = _described(error)
         else:
@@ -387,6 +388,13 @@ def _check_observed(firmware: Firmware, state: State) -> None:
     name = firmware.observable
     if name is not None and name not in firmware.observables(state):
         raise _BadOutput(f"observed is {name!r}, and there is no such variable in its state")
+
+
+def _check_fields(firmware: Firmware, state: State) -> None:
+    if isinstance(firmware, ScalarFirmware) and (
+        problem := state_problem(firmware.scalar_kernels().STATE, state)
+    ):
+        raise _BadOutput(problem)
 
 
 def _is_flags(value: Any, shape: tuple[int, ...]) -> bool:

@@ -119,6 +119,36 @@ def parameters_record(kind: np.dtype[Any], constants: Mapping[str, Any]) -> NDAr
     return record
 
 
+def state_problem(kind: np.dtype[Any], state: State) -> str | None:
+    """Return why initial arrays are no state of records: missing and unknown fields, and values that fields would cut.
+
+    Args:
+        kind: Type of the records.
+        state: Arrays by name, a row a cell.
+    """
+    fields = kind.names or ()
+    if set(state) != set(fields):
+        missing = [name for name in fields if name not in state]
+        unknown = [name for name in state if name not in fields]
+        parts = [
+            f"{what} {', '.join(names)}"
+            for what, names in (("missing", missing), ("unknown", unknown))
+            if names
+        ]
+        return f"state must have the fields {', '.join(fields)}; {'; '.join(parts)}"
+    for name in fields:
+        base, shape = kind[name].subdtype or (kind[name], ())
+        values = state[name]
+        if values.shape[1:] != shape:
+            return f"state[{name!r}] has the shape {values.shape}: must be {(len(values), *shape)}"
+        if base.names is None and values.dtype != base:
+            with np.errstate(all="ignore"):
+                kept = values.astype(base)
+            if base.kind in "iub" and not (kept == values).all():
+                return f"state[{name!r}] has values that a field of {base} can't hold"
+    return None
+
+
 def state_records(kind: np.dtype[Any], state: State, n: int) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
     """Return the state of n cells as records, ``(n,)``, and the same memory as arrays by name."""
     records, arrays = np.zeros(n, dtype=kind), dict[str, NDArray[Any]]()

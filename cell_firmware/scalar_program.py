@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from bus.wire.message_type import leaves
 from cell_firmware.errors import FirmwareError
 from cell_firmware.scalar import ScalarFirmware, ScalarKernels
+from cell_firmware.scalar_checks import compile_problem, source_problems
 
 COMPARED_TICKS: Final = 8
 """Ticks in which the compiled step is compared with the same source in Python."""
@@ -95,6 +96,7 @@ class ScalarProgram(ScalarFirmware):
             FirmwareError: The step can't be compiled.
         """
         kind = type(self)
+        _check(self.step_function(), kind.constants_type, kind.state_type, self.message, self.random)
         if not self.is_compiled():
             return _in_python(kind.constants_type, kind.state_type, self.message)
         return _kernels(
@@ -194,7 +196,7 @@ def _compare(what: str, compiled: NDArray[Any], python: NDArray[Any]) -> None:
             index = "".join(f"[{i}]" for i in at[1:])
             raise FormsDiffer(
                 f"{path}{index} is {ours[at]} compiled, and {theirs[at]} in Python: numbers that "
-                "overflow, float32 and division differ between the two forms; write what you mean"
+                "overflow, float32, division and NumPy's random numbers differ between the two forms; write what you mean"
             )
 
 
@@ -221,6 +223,23 @@ class _Kernels:
     tick: Any
     rows: Any
     compared_ticks: int
+
+
+@cache
+def _check(
+    step: Callable[..., None],
+    constants: np.dtype[Any],
+    state: np.dtype[Any],
+    message: np.dtype[Any] | None,
+    random: tuple[str, ...],
+) -> None:
+    """Refuse a step with mistakes in its source."""
+    from cell_firmware.kernels.program import NO_MESSAGE, inputs_type, outputs_type
+
+    sent = NO_MESSAGE if message is None else message
+    records = (constants, state, inputs_type(sent, random), outputs_type(sent, compiled=False))
+    if problems := source_problems(step, records):
+        raise FirmwareError(f"{step.__qualname__}: {'; '.join(problems)}")
 
 
 def _in_python(
@@ -261,7 +280,7 @@ def _kernels(
         )
     except Exception as error:  # noqa: BLE001 - a compiler's errors are of many types
         raise FirmwareError(
-            f"{step.__qualname__} can't be compiled: {_said(error)}; to run it as Python, set {PYTHON}=1"
+            f"{step.__qualname__} can't be compiled: {compile_problem(error)}; to run it as Python, set {PYTHON}=1"
         ) from None
     return cast("ScalarKernels", _Kernels(constants, state, sent, tick, rows, compared_ticks))
 
@@ -329,12 +348,3 @@ def _text(step: Callable[..., Any]) -> str:
             ) from None
         texts += [source, repr(constants)]
     return "\0".join(texts)
-
-
-def _said(error: Exception) -> str:
-    """Return the lines of numba's message that say what is wrong and where."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    telling = [
-        line for line in lines if not line.startswith(("-", "Failed in", "During:", "There are", "-", "*"))
-    ]
-    return f"{type(error).__name__}: {'; '.join(telling[:4])}"

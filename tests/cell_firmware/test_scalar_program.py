@@ -11,7 +11,7 @@ import pytest
 from bus.lattice import Lattice
 from bus.partition import Partition
 from cell_firmware.board import Board
-from cell_firmware.errors import FirmwareError
+from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import find, load
 from cell_firmware.scalar_program import COMPARED_TICKS, PYTHON, ScalarProgram, run_in_python
@@ -170,11 +170,91 @@ def test_a_step_that_calls_what_can_t_be_compiled_with_it_is_refused_by_name() -
         load(CellsSpec(firmware=f"{__name__}:Elsewhere"))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        (
+            "state.valid = aged",
+            "state.vaild = aged",
+            "line 33 of spread.py: state has no field vaild; nearest: valid",
+        ),
+        (
+            "outputs.message[side].u =",
+            "outputs.message[side].w =",
+            "line 38 of spread.py: outputs.message[side] has no field w; fields: u, here",
+        ),
+        ("total = 0.0", "total = zero", "line 27 of spread.py: name zero is not defined"),
+        (
+            "cell_step(constants, ",
+            "cell_step(self, constants, ",
+            (
+                "has parameters self, constants, state, inputs, outputs: must be a static method of constants, state, "
+                "inputs, outputs"
+            ),
+        ),
+        (
+            "outputs.message[side].u = state.u",
+            "message = outputs.message[side]; message.v = state.u",
+            "line 38 of spread.py: message has no field v; fields: u, here",
+        ),
+    ],
+)
+@pytest.mark.parametrize("in_python", [False, True])
+def test_mistakes_that_show_in_the_source_are_refused_with_their_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, problem: str, in_python: bool
+) -> None:
+    if in_python:
+        monkeypatch.setenv(PYTHON, "1")
+    assert old in PROGRAM
+    kind = program(tmp_path, PROGRAM.replace(old, new), STEP="1")
+    with pytest.raises(FirmwareError) as caught:
+        kind(kind.Parameters()).scalar_kernels()
+    assert str(caught.value) == f"Spread.cell_step: {problem}"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ('"u": 0.1 * cells.row, ', "", "state must have the fields u, count, seen, valid; missing u"),
+        ('"u": 0.1', '"v": 0.1', "state must have the fields u, count, seen, valid; missing u; unknown v"),
+        (
+            "np.zeros(n, np.int16)",
+            "np.full(n, 0.5)",
+            "state['count'] has values that a field of int16 can't hold",
+        ),
+        (
+            "np.zeros(n, np.int16)",
+            "np.full(n, 40000)",
+            "state['count'] has values that a field of int16 can't hold",
+        ),
+        ("np.zeros(n, np.int16)", "np.zeros((n, 2))", "state['count'] has the shape (1, 2): must be (1,)"),
+    ],
+)
+def test_an_initial_state_must_have_the_fields_of_the_records(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, problem: str
+) -> None:
+    monkeypatch.setenv(PYTHON, "1")
+    assert old in PROGRAM
+    with pytest.raises(FirmwareFailed) as caught:
+        drives(shard(program(tmp_path, PROGRAM.replace(old, new), STEP="1")), 1)
+    assert caught.value.problem == f"init: {problem}"
+
+
+def test_a_name_of_two_types_is_not_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(PYTHON, "1")
+    text = PROGRAM.replace(
+        "total = 0.0", "one = state\n        one = outputs\n        total = 0.0 * one.served"
+    )
+    assert drives(shard(program(tmp_path, text, STEP="1")), 3).any()
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(240)
-def test_a_step_that_can_t_be_compiled_is_refused_with_numba_s_reason(tmp_path: Path) -> None:
-    program(tmp_path, PROGRAM, STEP="inputs.nothing")
-    with pytest.raises(
-        FirmwareError, match=r"Spread\.cell_step can't be compiled: .*; to run it as Python, set"
-    ):
+def test_a_step_that_can_t_be_compiled_is_refused_with_numba_s_reason_and_the_line(tmp_path: Path) -> None:
+    program(tmp_path, PROGRAM, STEP="sum([state.u])")
+    with pytest.raises(FirmwareError) as caught:
         load(CellsSpec(firmware=str(tmp_path / "spread.py")))
+    assert str(caught.value) == (
+        "Spread.cell_step can't be compiled: line 35 of spread.py: there is no sum(list(float64)<iv=None>) (in: "
+        f"state.count = state.count + sum([state.u])); to run it as Python, set {PYTHON}=1"
+    )

@@ -244,5 +244,7 @@ def test_the_inspector_shows_the_messages_sent_by_a_cell_and_by_its_neighbours()
     assert found["Inbox"] == [("from north", "none"), ("from east n", 7.0), ("from east pair", [14.0, 15.0])]
     assert found["Registers"] == [("firmware.u", 1.0)]
     assert set(sections({"firmware.u": np.ones((4, 1))}, 0)) == {"Registers"}
-    key = {"firmware.key": np.full((4, 1), 2**63 + 5, dtype=np.uint64)}  # more digits than a browser's numbers
+    key = {
+        "firmware.key": np.full((4, 1), 2**63 + 5, dtype=np.uint64)
+    }  # more digits than a browser's numbers
     assert sections(key, 0)["Registers"] == [("firmware.key", "9223372036854775813")]
