@@ -196,7 +196,7 @@ def _compare(what: str, compiled: NDArray[Any], python: NDArray[Any]) -> None:
             index = "".join(f"[{i}]" for i in at[1:])
             raise FormsDiffer(
                 f"{path}{index} is {ours[at]} compiled, and {theirs[at]} in Python: numbers that "
-                "overflow, float32, division and NumPy's random numbers differ between the two forms; write what you mean"
+                "overflow, float32, division and NumPy's generators differ between the two forms; write what you mean"
             )
 
 
