@@ -29,9 +29,11 @@ class ArrayView:
         lattice: All cells of the array.
         running: ``(n,)``, whether each cell's program ran.
         registers: By name, arrays with a row for each cell of the lattice; a program's variables begin ``firmware.``.
+        link_ticks: Ticks after which messages are read.
 
     Attributes:
         tick: As given.
+        link_ticks: As given. The ticks that ``Program.eventually`` yields are multiplied by it.
         cells: ``(row, column)`` of each of the ``a`` running cells, in the lattice's order.
         neighbours: ``(a, 4)`` int64, row of the running neighbour on each side of ``SIDES``, or -1.
     """
@@ -42,8 +44,10 @@ class ArrayView:
         lattice: Lattice,
         running: NDArray[np.bool_],
         registers: Mapping[str, NDArray[Any]],
+        link_ticks: int = 1,
     ) -> None:
         self.tick = tick
+        self.link_ticks = link_ticks
         self._registers = registers
         self._read: dict[str, NDArray[Any]] = {}
         if running.all():

@@ -27,8 +27,8 @@ class InvariantMonitor:
     """Monitor of a program's invariants and eventual conditions, in order of ticks.
 
     A condition of ``eventually`` is due ``ticks`` ticks after the first view, after the last disturbance, and after it
-    was last true. A disturbance is a fault that begins or ends, each tick of a fault of links or sensors that will end,
-    and each change of the running cells.
+    was last true; where messages take several ticks, that many times as long. A disturbance is a fault that begins or
+    ends, each tick of a fault of links or sensors that will end, and each change of the running cells.
 
     Args:
         program: The cells' program.
@@ -78,7 +78,7 @@ class InvariantMonitor:
             if not np.all(holds)
         ]
         awaited = [
-            (_violation("eventually", rule, view, holds), ticks)
+            (_violation("eventually", rule, view, holds), ticks * view.link_ticks)
             for rule, holds, ticks in self._conditions("eventually", view)
             if not np.all(holds)
         ]

@@ -286,7 +286,8 @@ class Lab(FaultInjection):
             for name, array in registers.items():
                 full[name][rows] = array
             registers = full
-        return ArrayView(tick, self.lattice, running & ~self._halted(tick), registers)
+        running &= ~self._halted(tick)
+        return ArrayView(tick, self.lattice, running, registers, self._scene.bus.link_ticks)
 
     def _evaluate(self, monitor: InvariantMonitor) -> None:
         disturbed = disturbs(self._faults(), self.tick - 1)

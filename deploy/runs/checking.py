@@ -66,6 +66,7 @@ class RunChecker:
         program = load(scene.cells)
         self._monitor = InvariantMonitor(program, scene.cells.firmware)
         self._lattice = lattice
+        self._link_ticks = scene.bus.link_ticks
         self._check: Check = check
         self._faults = faults
         self.violations: list[Violation] = []
@@ -85,7 +86,7 @@ class RunChecker:
         """
         faults, tick = self._faults(), shown.tick
         running = shown.cells & ~halted_cells(faults, tick, len(self._lattice))
-        view = ArrayView(tick, self._lattice, running, shown.registers)
+        view = ArrayView(tick, self._lattice, running, shown.registers, self._link_ticks)
         try:
             found = self._monitor.check(view, disturbed=disturbs(faults, tick))
         except FirmwareError as error:

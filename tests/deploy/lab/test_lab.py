@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bus.spec import BusSpec
+from cell_firmware.array_view import ArrayView
 from deploy.errors import InputError
 from deploy.recordings.reader import load
 from deploy.runs.run import run
@@ -301,3 +303,27 @@ def test_registers_are_listed() -> None:
     assert "speed_m_s" in repr(lab.registers)
     with pytest.raises(InputError, match="register 0: the cells have no such register; they have counts"):
         lab.registers[0]  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("protocol", "parameters"),
+    [
+        ("spanning_tree", {"roots": [{"cell": [0, 0]}, {"cell": [2, 3]}], "limit": 16}),
+        ("push_sum", {"values": [{"cell": [0, 0], "value": 1.0}]}),
+        ("synchroniser", {"values": [{"cell": [0, 0], "value": 1.0}]}),
+    ],
+)
+def test_conditions_are_due_later_where_messages_take_several_ticks(
+    protocol: str, parameters: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    faults = [
+        {"kind": "crash", "at_tick": 90, "cell": [0, 0]},
+        {"kind": "crash", "at_tick": 120, "cell": [1, 2]},
+    ]
+    scene = Lab(protocol, (3, 4), parameters=parameters, faults=faults, check=None).scene
+    late = scene.model_copy(update={"bus": BusSpec(link_ticks=10)})
+    assert not Lab.of(late, check="count").step(2500).violations
+    # as if a program's ticks were not those of its messages
+    monkeypatch.setattr(ArrayView, "link_ticks", property(lambda _: 1, lambda *_: None), raising=False)
+    early = Lab.of(late, check="count").step(2500).violations
+    assert bool(early) == (protocol != "synchroniser")  # whose pulses need no more than they are given
