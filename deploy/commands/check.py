@@ -189,6 +189,8 @@ def check(
     )
 
     notify = silent if quiet else say
+    if not output.parent.is_dir():  # a search may take minutes
+        raise InputError(f"--output {output}: there is no folder {output.parent}")
     adversary = _adversary(faults, depth, kinds, delay, outage, at_most)
     covered = [_cell(text) for text in cover or ()]
     rows: list[dict[str, Any]] = []

@@ -58,6 +58,7 @@ def test_counters_begin_near_their_wraps_too(tmp_path: Path, capsys: pytest.Capt
         (["--at-most", "loss"], "--at-most loss: must be KIND=N, such as death=1"),
         (["--kinds", "loss,lie"], "kind 'lie': must be one of loss, delay, death, repair, outage"),
         (["--set", "goal=1"], "cells.parameters.goal"),
+        (["--output", "nowhere/found.toml"], "--output nowhere/found.toml: there is no folder nowhere"),
     ],
 )
 def test_bad_input_is_refused_with_status_2(
