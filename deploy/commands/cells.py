@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deploy.commands.options import (
+    DEFAULT_PORT,
     DurationOption,
     QuietOption,
     SceneArgument,
@@ -102,8 +103,6 @@ def cells(
     name = default_run(made) if run is None else check_name(run)
     identity = None if keys is None else _identity(keys, partition, number, each=cell is not None)
     if connect is None:
-        from deploy.commands.plant import DEFAULT_PORT
-
         tls = identity is not None and identity.kind == "certificate"
         connect = f"{'tls' if tls else 'tcp'}/127.0.0.1:{DEFAULT_PORT}"
     check_protocol(connect, identity)

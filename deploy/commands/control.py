@@ -78,7 +78,7 @@ def control(
     request = {"op": action.value, **_value(action, value)}
     from deploy.control.client import ask_run
 
-    endpoint, name = target_of(connect, run)
+    endpoint, name = target_of(connect, run, keys)
     answer = ask_run(endpoint, request, timeout, keys, name)
     print(json.dumps(answer) if as_json else _line(action, answer))
 
@@ -118,6 +118,10 @@ def _line(action: Action, answer: dict[str, Any]) -> str:
     if action in (Action.RESET, Action.STOP):
         done = "ends" if action is Action.STOP else "ends and begins again in a new folder"
         return f"{answer['run']}: {done}, {at}"
+    if answer["state"] == "waiting":
+        at = f"for {answer['waits_for']}{', begins paused' if answer['paused'] else ''}"
     pace = "as fast as possible" if answer["speed"] is None else f"{answer['speed']:g} × real time"
-    measured = "" if answer["state"] == "paused" else f", measured {answer['real_time_factor']:.3g}"
+    measured = (
+        "" if answer["state"] in ("paused", "waiting") else f", measured {answer['real_time_factor']:.3g}"
+    )
     return f"{answer['run']}: {answer['state']} {at}, {pace}{measured}"

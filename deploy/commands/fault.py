@@ -86,7 +86,7 @@ def fault(
     {kinds}
     """
     requests = _requests(kind, target or [], side, sets or [], for_s)
-    endpoint, name = target_of(connect, run)
+    endpoint, name = target_of(connect, run, keys)
     from deploy.control.client import ask_run
 
     for request in requests:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import math
+import socket
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
 from inspect import Parameter, Signature
@@ -19,6 +20,8 @@ from deploy.scenes.files import load_scene as load
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
 
+DEFAULT_PORT: Final = 7447
+"""Port at which a plant and a router listen by default."""
 EXECUTION_PANEL: Final = "Execution"
 """Heading of options that don't change the simulated system."""
 
@@ -84,21 +87,14 @@ RunningAtOption = Annotated[
         help="Endpoint at which the run's plant listens (--listen of the run). Default: found by --run.",
     ),
 ]
-RunningInOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--run",
-        metavar="DIR",
-        help="Output folder of the run. Default: the latest run below runs/ that has not ended.",
-    ),
-]
 RunningAsOption = Annotated[
     str | None,
     typer.Option(
         "--run",
         metavar="DIR|NAME",
-        help="Output folder of the run; with --connect the run's name, where a router carries several. Default: the "
-        "latest run below runs/ that has not ended.",
+        help="Output folder of the run; with --connect, or at the default endpoint of mdms plant, the run's name, "
+        "where a router carries several. Default: the latest run below runs/ that has not ended, or else the only "
+        "one at that endpoint.",
     ),
 ]
 
@@ -199,31 +195,17 @@ def load_scene(
     return load(scene, overrides)
 
 
-def address_of(connect: str | None, run: Path | None) -> str:
-    """Return the endpoint of the running system that a command is to speak to.
-
-    Args:
-        connect: Value of ``--connect``.
-        run: Value of ``--run``.
-
-    Raises:
-        InputError: Both are given, or no run goes on there.
-    """
-    if connect is not None:
-        if run is not None:
-            raise InputError("--connect and --run: give one of the two")
-        return connect
-    from deploy.control.client import discover
-
-    return discover(run).connect
-
-
-def target_of(connect: str | None, run: str | None) -> tuple[str, str]:
+def target_of(connect: str | None, run: str | None, keys: Path | None = None) -> tuple[str, str]:
     """Return endpoint and name of the running system that a command is to speak to.
 
+    Without ``--connect`` it is a run that writes on this host, or else whoever listens where ``mdms plant`` and
+    ``mdms router`` do by default.
+
     Args:
         connect: Value of ``--connect``.
-        run: Value of ``--run``: a name if there is an endpoint, else a folder.
+        run: Value of ``--run``: a name if there is an endpoint, else a folder, or the name of a run at the default
+            endpoint.
+        keys: Value of ``--keys``.
 
     Raises:
         InputError: The name can't be one, or no run goes on there.
@@ -233,12 +215,44 @@ def target_of(connect: str | None, run: str | None) -> tuple[str, str]:
     from deploy.control.client import ANY_RUN, discover
 
     if connect is None:
-        found = discover(None if run is None else Path(run))
-        return found.connect, found.run
+        try:
+            found = discover(None if run is None else Path(run))
+        except InputError:
+            connect = default_endpoint(keys, role="operator")
+            if (run is not None and Path(run).exists()) or not _listens(connect):
+                raise
+        else:
+            return found.connect, found.run
     try:
         return connect, ANY_RUN if run is None else check_run(run)
     except RunNameError as error:
         raise InputError(f"--run: with --connect it is the name of a run: {error}") from None
+
+
+def default_endpoint(keys: Path | None, *, role: str | None = None) -> str:
+    """Return the endpoint on loopback at which a plant or a router listens unless another is named.
+
+    Args:
+        keys: Folder of the run's keys, or of a role's.
+        role: Role whose folder it may be; None: it must be the run's.
+
+    Raises:
+        InputError: The folder has no keys.
+    """
+    protocol = "tcp"
+    if keys is not None:
+        from deploy.security.keyring import kind_of
+
+        protocol = "tls" if kind_of(keys, role) == "certificate" else "tcp"
+    return f"{protocol}/127.0.0.1:{DEFAULT_PORT}"
+
+
+def _listens(endpoint: str) -> bool:
+    """Whether anybody listens at a TCP endpoint of this host."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    with socket.socket() as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex((host, int(port))) == 0
 
 
 ParcelOption = Annotated[int, typer.Option("--parcel", metavar="N", help="Number of the parcel, from 0.")]

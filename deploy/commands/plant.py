@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from deploy.commands.options import EXECUTION_PANEL, RunSceneOptions, expand_dataclass
+from deploy.commands.options import EXECUTION_PANEL, RunSceneOptions, default_endpoint, expand_dataclass
 from deploy.commands.outcome import execute
 from deploy.commands.run import (
     CheckOption,
@@ -79,8 +78,6 @@ RespawnOption = Annotated[
         "after power-on, at a tick boundary.",
     ),
 ]
-
-DEFAULT_PORT = 7447
 
 
 @expand_dataclass
@@ -172,13 +169,3 @@ def parse_shards(text: str) -> Processes:
     if not found:
         raise InputError(f"--shards {text}: must be each, or a number of processes from 1")
     return found
-
-
-def default_endpoint(keys: Path | None) -> str:
-    """Return the endpoint on loopback at which a plant or a router listens unless another is named."""
-    protocol = "tcp"
-    if keys is not None:
-        from deploy.security.keyring import Keyring
-
-        protocol = "tls" if Keyring(keys).about.kind == "certificate" else "tcp"
-    return f"{protocol}/127.0.0.1:{DEFAULT_PORT}"

@@ -11,10 +11,10 @@ import typer
 from deploy.commands.options import (
     JsonOption,
     OperatorKeysOption,
+    RunningAsOption,
     RunningAtOption,
-    RunningInOption,
     TimeoutOption,
-    address_of,
+    target_of,
 )
 from deploy.errors import InputError
 from deploy.util.formatting import plural, short_number
@@ -39,7 +39,7 @@ def registers(
     cells: CellsArgument = None,
     *,
     connect: RunningAtOption = None,
-    run: RunningInOption = None,
+    run: RunningAsOption = None,
     keys: OperatorKeysOption = None,
     timeout: TimeoutOption = 5.0,
     as_json: JsonOption = False,
@@ -56,7 +56,8 @@ def registers(
     wanted = [_cell(text) for text in cells or ()]
     from deploy.control.registers import read_registers
 
-    seen = read_registers(address_of(connect, run), wanted, timeout, keys)
+    endpoint, name = target_of(connect, run, keys)
+    seen = read_registers(endpoint, wanted, timeout, keys, name)
     if wanted:
         seen.cells = {cell: seen.cells[cell] for cell in wanted}
     if as_json:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deploy.commands.plant import default_endpoint
+from deploy.commands.options import default_endpoint
 from deploy.util.formatting import say
 from deploy.util.signals import Interrupted, Interruption
 from deploy.workers.listening import check_listening, check_opened

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from typing import Annotated, Any
 
 import typer
@@ -48,7 +47,7 @@ def status(
     from deploy.errors import DeployError, InputError
 
     try:
-        endpoint, name = _target(connect, run)
+        endpoint, name = target_of(connect, run, keys)
         found = ask_status(endpoint, name, timeout, keys)
     except InputError as error:
         raise DeployError(str(error)) from None  # for a probe: exit status 1
@@ -58,28 +57,6 @@ def status(
         _print(found, listed=processes)
     if found["missing"]:
         raise typer.Exit(1)
-
-
-def _target(connect: str | None, run: str | None) -> tuple[str, str]:
-    """Return endpoint and name of the run to ask."""
-    from deploy.commands.plant import default_endpoint
-    from deploy.control.client import ANY_RUN
-    from deploy.errors import InputError
-
-    try:
-        return target_of(connect, run)
-    except InputError:
-        if connect is not None or run is not None or not _listens(default_endpoint(None)):
-            raise
-    return default_endpoint(None), ANY_RUN
-
-
-def _listens(endpoint: str) -> bool:
-    """Whether anybody listens at a TCP endpoint of this host."""
-    host, _, port = endpoint.partition("/")[2].rpartition(":")
-    with socket.socket() as probe:
-        probe.settimeout(1.0)
-        return probe.connect_ex((host, int(port))) == 0
 
 
 def _print(found: dict[str, Any], *, listed: bool) -> None:
@@ -101,7 +78,7 @@ def _print(found: dict[str, Any], *, listed: bool) -> None:
     if listed:
         for one in found["processes"]:
             where = f"{one['host']}, process {one['pid']}" if "host" in one else ""
-            table.add_row(one["name"], f"{one['cells']:,} cells", where)
+            table.add_row(_name(one), f"{one['cells']:,} cells", where)
     console.print(table)
 
 
@@ -115,5 +92,11 @@ def _lag(found: dict[str, Any]) -> str:
 
 
 def _names(shards: list[dict[str, Any]], number: int) -> str:
-    named = ", ".join(one["name"] for one in shards[:_LISTED])
+    named = ", ".join(_name(one) for one in shards[:_LISTED])
     return f"{named} and {number - _LISTED} more" if number > _LISTED else named
+
+
+def _name(shard: dict[str, Any]) -> str:
+    """Name a shard: ``shard 3``, or ``cell 0,1`` where each cell has a process."""
+    name = str(shard["name"])
+    return name if name.startswith("cell ") else f"shard {shard['shard']}"

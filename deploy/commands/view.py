@@ -13,12 +13,12 @@ from deploy.commands.completion import scenes
 from deploy.commands.options import (
     DurationOption,
     OperatorKeysOption,
+    RunningAsOption,
     RunningAtOption,
-    RunningInOption,
     SeedOption,
     SetOption,
-    address_of,
     load_scene,
+    target_of,
 )
 from deploy.errors import DeployError, InputError
 from deploy.util.formatting import say
@@ -26,6 +26,7 @@ from deploy.util.formatting import say
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from deploy.control.client import Address
     from deploy.view.source import RunSource
 
 SubjectArgument = Annotated[
@@ -53,7 +54,7 @@ def view(
     port: PortOption = 0,
     browser: BrowserOption = True,
     connect: RunningAtOption = None,
-    run: RunningInOption = None,
+    run: RunningAsOption = None,
     keys: OperatorKeysOption = None,
 ) -> None:
     """Show a run in progress or a recording in the browser.
@@ -115,7 +116,7 @@ def _open(
     duration: float | None,
     realtime: float,
     connect: str | None,
-    run: Path | None,
+    run: str | None,
     keys: Path | None,
 ) -> Opened:
     """Return the source of the page, what ends that which was started for it, and what the first viewer sets off."""
@@ -131,7 +132,7 @@ def _open(
         return Opened(_open_recorded(path, keys))
     if subject is not None:
         return _launch(subject, sets, seed, duration, realtime, keys)
-    return Opened(_attach(lambda: address_of(connect, run), keys))
+    return Opened(_attach(lambda: target_of(connect, run, keys), keys))
 
 
 def _open_recorded(path: Path, keys: Path | None) -> RunSource:
@@ -144,7 +145,7 @@ def _open_recorded(path: Path, keys: Path | None) -> RunSource:
         except InputError:
             pass
         else:
-            return _attach(lambda: discover(path).connect, keys)
+            return _attach(lambda: _place(discover(path)), keys)
     from deploy.recordings.reader import load
     from deploy.view.replay import ReplaySource
 
@@ -154,12 +155,21 @@ def _open_recorded(path: Path, keys: Path | None) -> RunSource:
     return ReplaySource(recording)
 
 
-def _attach(find: Callable[[], str], keys: Path | None) -> RunSource:
-    """Return the source over a run in progress; ``find`` returns its endpoint."""
+def _place(address: Address) -> tuple[str, str]:
+    """Return endpoint and name of a run."""
+    return address.connect, address.run
+
+
+def _attach(find: Callable[[], tuple[str, str]], keys: Path | None) -> RunSource:
+    """Return the source over a run in progress; ``find`` returns its endpoint and its name."""
     from deploy.live.client import LiveRun
     from deploy.view.live import LiveSource
 
-    return LiveSource(lambda: LiveRun(find(), keys))
+    def connect() -> LiveRun:
+        endpoint, name = find()
+        return LiveRun(endpoint, keys, run=name)
+
+    return LiveSource(connect)
 
 
 def _launch(
@@ -192,7 +202,7 @@ def _launch(
     arguments += [] if keys is None else ["--keys", str(keys)]
     launched = LaunchedRun(arguments, folder)
     try:
-        source = _attach(launched.address, keys)
+        source = _attach(lambda: _place(launched.address()), keys)
         return Opened(source, launched.end, lambda: _resume(source))
     except BaseException:
         launched.end()

@@ -141,7 +141,7 @@ def ask_run(
     """
     endpoint = operator_session(connect, timeout_s, keys)
     try:
-        return ask_at(endpoint, connect, request, timeout_s, _only_run(endpoint, connect, run))
+        return ask_at(endpoint, connect, request, timeout_s, only_run(endpoint, connect, run))
     finally:
         endpoint.close()
 
@@ -161,23 +161,33 @@ def ask_status(connect: str, run: str, timeout_s: float, keys: Path | None = Non
     """
     endpoint = operator_session(connect, timeout_s, keys)
     try:
-        name = _only_run(endpoint, connect, run)
+        name = only_run(endpoint, connect, run)
         return ask_at(endpoint, connect, {}, timeout_s, name, "status")
     finally:
         endpoint.close()
 
 
-def _only_run(endpoint: ZenohEndpoint, connect: str, run: str) -> str:
+def runs_at(endpoint: ZenohEndpoint) -> list[str]:
+    """Return the names of the runs whose plants are at an endpoint.
+
+    Raises:
+        TransportError: The session is closed.
+    """
+    from bus.transports.zenoh.requests import tokens_at
+
+    tokens = tokens_at(endpoint, plant_key(ANY_RUN, "alive"), _TOKENS_S)
+    return sorted({key.split("/")[1] for key in tokens})
+
+
+def only_run(endpoint: ZenohEndpoint, connect: str, run: str) -> str:
     """Return the name of the run to ask.
 
     Raises:
         InputError: It is not named, and there are several.
     """
-    from bus.transports.zenoh.requests import tokens_at
-
     if run != ANY_RUN:
         return run
-    names = sorted(key.split("/")[1] for key in tokens_at(endpoint, plant_key(ANY_RUN, "alive"), _TOKENS_S))
+    names = runs_at(endpoint)
     if len(names) > 1:
         raise InputError(f"{connect}: there are several runs, name one of them (--run): {', '.join(names)}")
     return names[0] if names else ANY_RUN
@@ -201,7 +211,7 @@ def ask_at(
         payload = json.dumps(request).encode()
         answer = _answer(json.loads(_sent(endpoint, plant_key(run, leaf), payload, timeout_s)))
     except TransportError as error:
-        raise DeployError(f"{connect}: {error}") from None
+        raise DeployError(f"{connect}: {absence(endpoint, run) or error}") from None
     except (ValueError, RecursionError):
         raise DeployError(f"{connect}: the answer is not from a run") from None
     if not answer["ok"]:
@@ -223,6 +233,17 @@ def _sent(endpoint: ZenohEndpoint, key: str, payload: bytes, timeout_s: float) -
             left_s -= time.monotonic() - begun
             if left_s <= 0.0:
                 raise
+
+
+def absence(endpoint: ZenohEndpoint, run: str) -> str:
+    """Say which runs there are in place of one that doesn't answer; empty: it is there, or there are none."""
+    try:
+        names = runs_at(endpoint)
+    except TransportError:
+        return ""
+    if run == ANY_RUN or not names or run in names:
+        return ""
+    return f"no run {run} is here; there are: {', '.join(names)} (--run)"
 
 
 def _answer(found: object) -> dict[str, Any]:

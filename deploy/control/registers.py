@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -13,8 +12,8 @@ from bus.errors import WireError
 from bus.lockstep.registers import decode_registers
 from bus.transports.base import Received
 from bus.wire.keys import shard_key
-from deploy.control.client import ask_at
-from deploy.errors import DeployError, InputError
+from deploy.control.client import ANY_RUN, absence, ask_at, only_run
+from deploy.errors import DeployError, InputError, RequestError
 from deploy.security.session import operator_session
 
 if TYPE_CHECKING:
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
     from bus.transports.zenoh import ZenohEndpoint
 
 Cell = tuple[int, int]
-
-KEYS: Final = shard_key("*", None, "registers")
-"""Keys on which cells publish registers."""
 
 _MOST_CELLS: Final = 1_000_000
 """Most cells of a shard, which bounds the size of a frame."""
@@ -52,8 +48,13 @@ class RegisterReadings:
     cells: dict[Cell, dict[str, Any]] = field(default_factory=dict[Cell, dict[str, Any]])
 
 
+def registers_key(run: str) -> str:
+    """Return the keys on which a run's cells publish registers."""
+    return shard_key(run, None, "registers")
+
+
 def read_registers(
-    connect: str, wanted: Iterable[Cell], timeout_s: float, keys: Path | None = None
+    connect: str, wanted: Iterable[Cell], timeout_s: float, keys: Path | None = None, run: str = ANY_RUN
 ) -> RegisterReadings:
     """Read the current registers of cells.
 
@@ -62,24 +63,38 @@ def read_registers(
         wanted: Cells to read; empty: all cells that answer.
         timeout_s: Wall time to wait for the cells, s.
         keys: Folder of the run's or the operator's keys; None if the run has none.
+        run: Name of the run; ``ANY_RUN``: the only one there.
 
     Raises:
-        InputError: No plant listens there, the plant doesn't accept the keys, or wanted cells are missing or dead.
+        InputError: No plant listens there, the plant doesn't accept the keys, there are several runs and none is
+            named, or wanted cells are missing or dead.
+        RequestError: The run still waits for its cells.
         DeployError: No registers arrived in time.
     """
     deadline = time.monotonic() + timeout_s
     endpoint = operator_session(connect, timeout_s, keys)
     try:
-        endpoint.subscribe(KEYS)
-        return request_registers(endpoint, connect, set(wanted), deadline)
+        name = only_run(endpoint, connect, run)
+        endpoint.subscribe(registers_key(name))
+        try:
+            return request_registers(endpoint, connect, set(wanted), deadline, run=name)
+        except DeployError as error:
+            if absent := absence(endpoint, name):
+                raise InputError(f"{connect}: {absent}") from None
+            raise error from None
     finally:
         endpoint.close()
 
 
 def request_registers(
-    endpoint: ZenohEndpoint, connect: str, wanted: set[Cell], deadline: float, most: int = _MOST_CELLS
+    endpoint: ZenohEndpoint,
+    connect: str,
+    wanted: set[Cell],
+    deadline: float,
+    most: int = _MOST_CELLS,
+    run: str = ANY_RUN,
 ) -> RegisterReadings:
-    """Request and collect registers over a session subscribed to ``KEYS``; a paused run publishes on request alone.
+    """Request and collect registers over a session subscribed to them; a paused run publishes on request alone.
 
     The subscription takes a moment to reach the cells, so that the request is repeated.
 
@@ -89,15 +104,21 @@ def request_registers(
         wanted: Cells to read; empty: all cells that answer.
         deadline: A time of ``time.monotonic``, s.
         most: Number of the run's cells, as far as it is known.
+        run: Name of the run.
 
     Raises:
         InputError: Wanted cells are missing or dead.
+        RequestError: The run still waits for its cells.
         DeployError: No registers arrived in time.
     """
     while True:
         attempt = min(deadline, time.monotonic() + _ATTEMPT_S)
-        with suppress(DeployError):  # a plant that waits for a cell doesn't answer, but other cells publish
-            ask_at(endpoint, connect, {"op": "show"}, max(attempt - time.monotonic(), 0.01))
+        try:
+            ask_at(endpoint, connect, {"op": "show"}, max(attempt - time.monotonic(), 0.01), run)
+        except RequestError:
+            raise
+        except DeployError:  # a plant that waits for a cell in a tick doesn't answer, but other cells publish
+            pass
         try:
             return collect(endpoint, wanted, attempt, most)
         except (DeployError, InputError):
@@ -108,7 +129,7 @@ def request_registers(
 def collect(
     endpoint: Endpoint, wanted: set[Cell], deadline: float, most: int = _MOST_CELLS
 ) -> RegisterReadings:
-    """Collect registers from an endpoint subscribed to ``KEYS``.
+    """Collect registers from an endpoint subscribed to them.
 
     Args:
         endpoint: The endpoint.

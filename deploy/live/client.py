@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, Self, cast, final
 
 from bus.errors import TransportError
 from bus.wire.keys import plant_key
-from deploy.control.client import ask_at, discover
-from deploy.control.registers import KEYS, Cell, RegisterReadings, request_registers
+from deploy.control.client import ANY_RUN, ask_at, discover, only_run
+from deploy.control.registers import Cell, RegisterReadings, registers_key, request_registers
 from deploy.errors import DeployError
 from deploy.live.frame import RunFrame, decode
 from deploy.security.session import operator_session
@@ -42,28 +42,33 @@ class LiveRun:
         connect: Endpoint on which the plant listens, such as ``tcp/127.0.0.1:7447``.
         keys: Folder of the run's or the operator's keys; None if the run has none.
         timeout_s: Wall time to wait for an answer, s.
+        run: Name of the run, where a router carries several.
 
     Attributes:
         connect: As given.
         header: Header of the run, as of its recording.
 
     Raises:
-        InputError: No plant listens there, or the plant doesn't accept the keys.
-        DeployError: The run doesn't answer in time.
+        InputError: No plant listens there, the plant doesn't accept the keys, or there are several runs and none is
+            named.
+        DeployError: The run doesn't answer in time, or still waits for its cells.
     """
 
-    def __init__(self, connect: str, keys: Path | None = None, timeout_s: float = 5.0) -> None:
+    def __init__(
+        self, connect: str, keys: Path | None = None, timeout_s: float = 5.0, run: str = ANY_RUN
+    ) -> None:
         self.connect, self._timeout_s = connect, timeout_s
         self._endpoint = operator_session(connect, timeout_s, keys)
         self._events = self._faults = 0
         self._subscribed = False
         try:
+            self._run = only_run(self._endpoint, connect, run)
             frame, header = self._begin(time.monotonic() + timeout_s)
         except BaseException:
             self._endpoint.close()
             raise
         self.header: Header = header
-        self._key = plant_key(str(header["run"]), "view")
+        self._run = str(header["run"])
         self._tick = frame.tick
 
     @classmethod
@@ -76,7 +81,8 @@ class LiveRun:
             InputError: No run is in progress there.
             DeployError: The run doesn't answer in time.
         """
-        return cls(discover(None if folder is None else Path(folder)).connect, keys, timeout_s)
+        found = discover(None if folder is None else Path(folder))
+        return cls(found.connect, keys, timeout_s, found.run)
 
     def __enter__(self) -> Self:
         return self
@@ -90,19 +96,31 @@ class LiveRun:
         """Return the first frame and the header."""
         while True:
             try:
-                payload = self._ask_frame(plant_key("*", "view"), _ATTEMPT_S, header=True)
+                payload = self._ask_frame(_ATTEMPT_S, header=True)
                 frame, header = decode(payload)
                 return frame, cast("Header", header)
             except TransportError as error:  # the run may still be starting
                 if time.monotonic() >= deadline:
+                    self._check_begun()
                     raise DeployError(f"{self.connect}: {error}") from None
                 time.sleep(0.05)
 
-    def _ask_frame(self, key: str, timeout_s: float, *, header: bool = False) -> bytes:
+    def _check_begun(self) -> None:
+        """Raise DeployError if the run is there, and waits for its cells."""
+        found = ask_at(self._endpoint, self.connect, {}, _ATTEMPT_S, self._run, "status")
+        if found["state"] == "waiting":
+            raise DeployError(
+                f"{self.connect}: run {found['run']} waits for {found['missing']} of {found['shards']} shards: view it "
+                "once it has begun"
+            )
+
+    def _ask_frame(self, timeout_s: float, *, header: bool = False) -> bytes:
         from bus.transports.zenoh.requests import send_request
 
         request = {"events": self._events, "faults": self._faults, "header": header}
-        return send_request(self._endpoint, key, json.dumps(request).encode(), timeout_s)
+        return send_request(
+            self._endpoint, plant_key(self._run, "view"), json.dumps(request).encode(), timeout_s
+        )
 
     # --- what the run shows -------------------------------------------------------------------------
 
@@ -113,7 +131,7 @@ class LiveRun:
             DeployError: The run doesn't answer: it has ended, or a tick takes longer than the timeout.
         """
         try:
-            frame, _ = decode(self._ask_frame(self._key, self._timeout_s))
+            frame, _ = decode(self._ask_frame(self._timeout_s))
         except TransportError as error:
             raise DeployError(f"{self.connect}: {error}") from None
         self._events = frame.first_event + len(frame.events)
@@ -128,13 +146,13 @@ class LiveRun:
             DeployError: No registers arrived in time.
         """
         if not self._subscribed:
-            self._endpoint.subscribe(KEYS)
+            self._endpoint.subscribe(registers_key(self._run))
             self._subscribed = True
         while self._endpoint.receive(0.0) is not None:
             pass  # older ones
         wanted = set(cells)
         deadline, most = time.monotonic() + self._timeout_s, len(self.header["cells"])
-        found = request_registers(self._endpoint, self.connect, wanted, deadline, most)
+        found = request_registers(self._endpoint, self.connect, wanted, deadline, most, self._run)
         found.cells = {cell: own for cell, own in found.cells.items() if not wanted or cell in wanted}
         return found
 
@@ -147,7 +165,7 @@ class LiveRun:
             RequestError: The run refuses the request; the message says why.
             DeployError: The run doesn't answer in time.
         """
-        return ask_at(self._endpoint, self.connect, request, timeout_s or self._timeout_s)
+        return ask_at(self._endpoint, self.connect, request, timeout_s or self._timeout_s, self._run)
 
     def status(self) -> dict[str, Any]:
         """Return the run's tick, time, state, speed, real-time factor and lag."""

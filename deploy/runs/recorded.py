@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from bus.errors import BusError
 from bus.lockstep.registers import RegisterRequest
-from bus.wire.keys import plant_key
 from bus.wire.message_type import leaves
 from cell_firmware.message_tracer import TRACE, trace_registers
 from cell_firmware.shard import MESSAGES
@@ -161,6 +160,9 @@ class RecordedRun:
         """Start the cells and register everything that hooks into ticks."""
         setup, resumed = self.setup, self.setup.resumed
         self.checker = self._checker()
+        for asked in (self.system.status, self.system.waiting):
+            if asked is not None and resumed is not None:
+                asked.tick, asked.time_s = resumed.tick, resumed.tick * setup.scene.tick_ns * 1e-9
         simulation = Simulation.open(
             setup.scene,
             BusCells(
@@ -342,14 +344,17 @@ class RecordedRun:
             coordinator.control,
             self.log,
             simulation.process,
-            system.questions(plant_key(run, "operator")),
+            system.questions("operator"),
             setup.script,
             show=coordinator.show_registers,
             lines=setup.byte_accurate_links,
             factor=setup.options.realtime,
             paused=setup.options.paused,
         )
-        viewers = system.questions(plant_key(run, "view"))
+        if system.waiting is not None:
+            for request in system.waiting.accepted:
+                server.flow.handle(request, simulation.process.tick)
+        viewers = system.questions("view")
         if viewers is not None:
             from deploy.live.feed import Feed
 

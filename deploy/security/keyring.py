@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any, final
 from pydantic import ValidationError
 
 from deploy.errors import InputError
-from deploy.security.manifest import ACCESS, AUTHORITY, CERTIFICATE, KEY, KEYS, PASSWORD, USERS, KeyManifest
+from deploy.security.manifest import (
+    ACCESS,
+    AUTHORITY,
+    CERTIFICATE,
+    KEY,
+    KEYS,
+    PASSWORD,
+    USERS,
+    KeyManifest,
+    Kind,
+)
 from deploy.security.policy import QUESTION_LIMITS, part_of, router_access, size_limits
 from deploy.security.roles import OPERATOR, PLANT, ROUTER, ProcessLayout, roles_of
 from deploy.util.formatting import plural
@@ -34,6 +44,21 @@ def identity_of(folder: Path, role: str) -> Identity:
         return Password(role, _secret(folder / PASSWORD).read_text(encoding="utf-8").strip())
     authority, certificate = _sound(folder / AUTHORITY), _sound(folder / CERTIFICATE)
     return Certificate(str(authority), str(certificate), str(_secret(folder / KEY)))
+
+
+def kind_of(folder: Path, role: str | None = None) -> Kind:
+    """Return the kind of the credentials in a run's keys, or in the folder of a role.
+
+    Args:
+        folder: The folder.
+        role: Role whose folder it may be; None: it must be the run's.
+
+    Raises:
+        InputError: The folder has no keys.
+    """
+    if role is not None and not (folder / KEYS).exists():
+        return identity_of(folder, role).kind
+    return Keyring(folder).about.kind
 
 
 def operator_of(folder: Path) -> Identity:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, final
 
-from deploy.control.client import FILE_NAME, discover
+from deploy.control.client import FILE_NAME, Address, discover
 from deploy.errors import DeployError, InputError
 
 _READY_S: Final = 300.0
@@ -43,8 +43,8 @@ class LaunchedRun:
             preexec_fn=_end_with_parent,  # noqa: PLW1509 - there is no other thread yet
         )
 
-    def address(self) -> str:
-        """Wait until the run can be spoken to, and return its endpoint; after a reset that of the new run.
+    def address(self) -> Address:
+        """Wait until the run can be spoken to, and return its address; after a reset that of the new run.
 
         Raises:
             InputError: The run refused its arguments; it has said why.
@@ -54,7 +54,7 @@ class LaunchedRun:
         while time.monotonic() < deadline:
             for folder in (self.folder, *self._beside()):
                 try:
-                    return discover(folder).connect
+                    return discover(folder)
                 except InputError:
                     continue
             status = self._process.poll()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, final
 
 from bus.errors import TransportError
 from bus.wire.keys import message_kinds
+from deploy.control.client import runs_at
 from deploy.errors import InputError
 from deploy.security.policy import open_gate
 from deploy.util.formatting import say
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from deploy.security.keyring import Keyring
     from deploy.workers.plan import Plan, RunOptions
 
+_AGAIN_S: Final = 0.1
+_FORGOTTEN_S: Final = 1.0
+"""Wall time beyond a dead plant's lease after which its token is gone for certain, s."""
 _TICKS: Final = 64
 """Most ticks whose messages may wait to be copied for listeners; the oldest messages are dropped first."""
 
@@ -83,9 +88,29 @@ class Access:
         """Connect to a router."""
         identity = None if self._keyring is None else self._keyring.plant_as_client()
         self.join = self.locator = router
-        return connect_patiently(
+        hub = connect_patiently(
             router, self._stall, identity, "the plant", say, check=check, one_thread=False
         )
+        try:
+            self._check_alone(hub, router)
+        except BaseException:
+            hub.close()
+            raise
+        return hub
+
+    def _check_alone(self, hub: ZenohEndpoint, router: str) -> None:
+        """Check that no other plant has the run's name there; one that was killed is forgotten after its lease.
+
+        Raises:
+            InputError: There is one, and cells would take both for the same.
+        """
+        run, until = self._plan.run, time.monotonic() + self._lease_s + _FORGOTTEN_S
+        while run in runs_at(hub):
+            if time.monotonic() > until:
+                raise InputError(
+                    f"--connect {router}: a run {run} is there already: --run NAME gives this one another name"
+                )
+            time.sleep(_AGAIN_S)
 
     def _listening(self) -> ZenohEndpoint:
         """Open both endpoints."""

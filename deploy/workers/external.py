@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, final
 
 from bus.errors import BarrierError, BusError
@@ -108,11 +108,20 @@ class ExternalWorkers:
         time.sleep(timeout_s)
         if time.monotonic() - self._reported_s > _REPORT_S:
             self._reported_s = time.monotonic()
-            if missing := self._missing():
-                self._warn(
-                    f"waiting for {len(missing)} of {self._plan.partition.count} shards: {_named(missing)}"
-                )
+            if self._missing():
+                self._warn(f"waiting for {self.awaited()}")
         return False
+
+    def awaited(self) -> str:
+        """Describe the processes that are not here: ``1 of 2 shards: 1``, or ``1 of 18 cells: 0,3``."""
+        missing = self._missing()
+        if not missing:
+            return "processes that are here and not ready"
+        if self._plan.setting != "each":
+            return f"{len(missing)} of {self._plan.partition.count} shards: {_named(missing)}"
+        cells = [self._plan.partition.lattice.cells[shard] for shard in missing]
+        names = _named([f"{row},{column}" for row, column in cells], " ")
+        return f"{len(missing)} of {self._plan.partition.count} cells: {names}"
 
     def programs_failed(self) -> bool:
         """Return False: processes report to their own terminal."""
@@ -207,6 +216,6 @@ class ExternalWorkers:
         return JoinRefusal(problem=why)
 
 
-def _named(shards: list[int]) -> str:
-    more = f" and {len(shards) - _NAMED} more" if len(shards) > _NAMED else ""
-    return f"{', '.join(map(str, shards[:_NAMED]))}{more}"
+def _named(missing: Sequence[int | str], between: str = ", ") -> str:
+    more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
+    return f"{between.join(map(str, missing[:_NAMED]))}{more}"

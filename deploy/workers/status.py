@@ -52,6 +52,8 @@ class RunStatus:
 
     Attributes:
         progress: Returns the progress; None before the cells have started.
+        tick: First tick of the run.
+        time_s: Simulated time at its start, s.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class RunStatus:
         self._holder = holder
         self._seen = (-1, time.monotonic())
         """Tick seen last, and since when."""
+        self.tick, self.time_s = 0, 0.0
         self.progress: Callable[[], RunProgress] | None = None
 
     def answer(self, request: IncomingRequest) -> bytes:
@@ -85,8 +88,8 @@ class RunStatus:
             "ok": True,
             "scene": self._plan.scene,
             "state": "waiting",
-            "tick": 0,
-            "time_s": 0.0,
+            "tick": self.tick,
+            "time_s": self.time_s,
             "duration_s": self._duration_s,
             "shards": count,
             "here": count - len(gone),

@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, final
+from typing import TYPE_CHECKING, Literal, Self, final
 
 from bus.errors import BusError
 from bus.wire.keys import plant_key
+from deploy.control.waiting import WaitingControl
 from deploy.util.formatting import say
 from deploy.workers.external import ExternalWorkers
 from deploy.workers.groups import WorkerGroup, WorkerProcesses, WorkerThread
@@ -69,6 +70,8 @@ class System:
         status: Status of the run, which operators may ask for; None before ``open`` and with the memory transport.
         refusals: Monitor of denials by the plant's sessions; None before ``open`` and without access control.
         coordinator: Coordinator of the lockstep; None before ``start``.
+        waiting: Control server of the time before the cells are ready; None before ``open``, and where the plant starts
+            the cells itself.
         unreported: Indices of the cells that were alive at the end and whose counters did not arrive in time.
 
     Raises:
@@ -100,6 +103,7 @@ class System:
         self._presence: Presence | None = None
         self._responder: Responder | None = None
         self.status: RunStatus | None = None
+        self.waiting: WaitingControl | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -134,7 +138,14 @@ class System:
         self._endpoint, self.refusals, self.locator = hub, hub.refusals, self._access.locator
         presence = self._presence = Presence(hub, self._plan.run, self._plan.partition)
         if self._plan.external:
-            self._external = ExternalWorkers(self._plan, self._scene, hub, presence, say)
+            external = self._external = ExternalWorkers(self._plan, self._scene, hub, presence, say)
+            self.waiting = WaitingControl(
+                self._plan.run,
+                self._access.questions(plant_key(self._plan.run, "operator")),
+                external.awaited,
+                speed=self._options.realtime,
+                paused=self._options.paused,
+            )
         self._cells = (
             self._placed()
             or self._external
@@ -211,6 +222,7 @@ class System:
         Raises:
             DeployError: A worker failed during the start; the message names the worker and the cause.
             BusError: Cells were not ready in time; the message names the cells.
+            EndedByOperator: An operator has ended the run meanwhile.
         """
         from bus.lockstep import Coordinator
 
@@ -270,9 +282,11 @@ class System:
         assert self._cells is not None
         return self._cells.ended(shard)
 
-    def questions(self, key: str) -> RequestQueue | None:
-        """Return the queue of operators' requests; None with the memory transport."""
-        return None if self._access is None else self._access.questions(key)
+    def questions(self, leaf: Literal["operator", "view"]) -> RequestQueue | None:
+        """Return the queue of operators' or viewers' requests; None with the memory transport."""
+        if self.waiting is not None and leaf == "operator":
+            return self.waiting.queue
+        return None if self._access is None else self._access.questions(plant_key(self._plan.run, leaf))
 
     def _barrier(self, host: Coordinator, endpoint: Endpoint, cells: WorkerGroup) -> None:
         """Wait at the coordinator's barrier, until all cells are ready or a worker fails."""
@@ -280,7 +294,9 @@ class System:
 
         def watch() -> None:
             while not over.is_set():
-                if cells.trouble(_WATCH_S):
+                # Asked first, so that the answer to a stop goes out while the cells are looked at once more.
+                ended = self._answer_requests()
+                if cells.trouble(_WATCH_S) or ended:
                     trouble.set()
                     endpoint.wake()
                     return
@@ -296,6 +312,8 @@ class System:
         finally:
             over.set()
             watcher.join()
+        if self.waiting is not None and self.waiting.ended is not None:
+            raise self.waiting.ended
         if failed and not trouble.is_set():
             # A worker that began late on a busy machine finds only now that its program doesn't return.
             late = deadline + _LATE * self._scene.stall.start_s
@@ -310,6 +328,13 @@ class System:
             cells.check()  # why a worker is not there says more than that it is not
         if failed:
             raise failed if self._external is None else self._external.explained(failed)
+
+    def _answer_requests(self) -> bool:
+        """Answer operators while the cells are waited for; return whether one of them ends the run."""
+        if self.waiting is None:
+            return False
+        self.waiting.serve()
+        return self.waiting.ended is not None
 
     def explain(self) -> str:
         """Return the tracebacks of the workers that raised, or an empty string."""

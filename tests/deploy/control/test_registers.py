@@ -8,7 +8,7 @@ import numpy as np
 
 from bus.lockstep.registers import RegisterFrame, encode_registers
 from bus.transports.memory import MemoryBus
-from deploy.control.registers import KEYS, collect, ranges
+from deploy.control.registers import collect, ranges, registers_key
 
 
 def frame(tick: int, cells: list[list[int]], **registers: list[float]) -> bytes:
@@ -25,7 +25,7 @@ def test_frames_that_are_none_are_passed_over_and_the_last_word_of_a_cell_stands
     bus = MemoryBus()
     cells, viewer = bus.endpoint(), bus.endpoint()
 
-    viewer.subscribe(KEYS)
+    viewer.subscribe(registers_key("*"))
     put = cells.publisher("mdms/run-1/shard/0/registers").put
     for payload in (b"\xc1", frame(3, [[0, 1]], a=[1.0]), b"", frame(4, [[0, 1], [2, 2]], a=[2.0, 3.0])):
         put(payload)
@@ -37,7 +37,7 @@ def test_frames_that_are_none_are_passed_over_and_the_last_word_of_a_cell_stands
 def test_all_cells_are_no_longer_waited_for_than_until_they_have_answered() -> None:
     bus = MemoryBus()
     cells, viewer = bus.endpoint(), bus.endpoint()
-    viewer.subscribe(KEYS)
+    viewer.subscribe(registers_key("*"))
     cells.publisher("mdms/run-1/shard/0/registers").put(frame(4, [[0, 1], [2, 2]], a=[2.0, 3.0]))
     begun = time.monotonic()
     assert len(collect(viewer, set(), begun + 60.0, 2).cells) == 2

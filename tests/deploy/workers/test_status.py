@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from deploy.commands.status import _target  # pyright: ignore[reportPrivateUsage]
+from deploy.commands.options import target_of
 from deploy.control.client import ANY_RUN
 from deploy.errors import InputError
 from deploy.scenes.files import load_scene
@@ -72,7 +72,7 @@ def test_without_a_run_below_the_folder_whoever_listens_by_hand_is_asked(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with socket.create_server(("127.0.0.1", 0)) as server:
-        monkeypatch.setattr("deploy.commands.plant.DEFAULT_PORT", server.getsockname()[1])
-        assert _target(None, None) == (f"tcp/127.0.0.1:{server.getsockname()[1]}", ANY_RUN)
+        monkeypatch.setattr("deploy.commands.options.DEFAULT_PORT", server.getsockname()[1])
+        assert target_of(None, None) == (f"tcp/127.0.0.1:{server.getsockname()[1]}", ANY_RUN)
     with pytest.raises(InputError, match="no run is in progress below runs/"):
-        _target(None, None)
+        target_of(None, None)
