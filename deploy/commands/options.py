@@ -217,10 +217,12 @@ def target_of(connect: str | None, run: str | None, keys: Path | None = None) ->
     if connect is None:
         try:
             found = discover(None if run is None else Path(run))
-        except InputError:
+        except InputError as error:
             connect = default_endpoint(keys, role="operator")
-            if (run is not None and Path(run).exists()) or not _listens(connect):
+            if run is not None and Path(run).exists():
                 raise
+            if not _listens(connect):
+                raise InputError(f"{error}; and nobody listens at {connect}") from None
         else:
             return found.connect, found.run
     try:

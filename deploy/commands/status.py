@@ -63,8 +63,11 @@ def _print(found: dict[str, Any], *, listed: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from deploy.util.formatting import plural
+
     console = Console(highlight=False)
-    here = f"{found['here']:,} of {found['shards']:,} shards here"
+    unit = "cells" if found["shards"] > 1 and _of_cells(found) else "shards"
+    here = f"{found['here']:,} of {found['shards']:,} {unit} here"
     console.print(f"[bold]{found['run']}[/bold]  {found['state']}, {here}", soft_wrap=True)
     table = Table.grid(padding=(0, 2))
     table.add_row("tick", f"{found['tick']:,} ({found['time_s']:g} of {found['duration_s']:g} s)")
@@ -78,7 +81,7 @@ def _print(found: dict[str, Any], *, listed: bool) -> None:
     if listed:
         for one in found["processes"]:
             where = f"{one['host']}, process {one['pid']}" if "host" in one else ""
-            table.add_row(_name(one), f"{one['cells']:,} cells", where)
+            table.add_row(_name(one), plural(one["cells"], "cell"), where)
     console.print(table)
 
 
@@ -94,6 +97,11 @@ def _lag(found: dict[str, Any]) -> str:
 def _names(shards: list[dict[str, Any]], number: int) -> str:
     named = ", ".join(_name(one) for one in shards[:_LISTED])
     return f"{named} and {number - _LISTED} more" if number > _LISTED else named
+
+
+def _of_cells(found: dict[str, Any]) -> bool:
+    """Whether each cell has a process."""
+    return all(_name(one).startswith("cell ") for one in (*found["processes"], *found["missing_shards"]))
 
 
 def _name(shard: dict[str, Any]) -> str:

@@ -39,6 +39,12 @@ def lines(losses: Sequence[Loss], places: Places, period_ns: int) -> list[str]:
     return described
 
 
+def rejoined(cells: Sequence[int], places: Places, tick: int, period_ns: int) -> str:
+    """Describe cells (indices) that rejoin at ``tick``."""
+    names = [f"{row},{column}" for row, column in map(places.__getitem__, cells)]
+    return f"{_cells(names)} rejoined in {_when(tick, period_ns)}, as after power-on"
+
+
 def unreported(cells: Sequence[int], places: Places) -> str:
     """Describe cells (indices) whose messages are missing from the counters."""
     names = [f"{row},{column}" for row, column in map(places.__getitem__, cells)]

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.errors import BusError
+from bus.lockstep.counters import MessageCounters
 from bus.lockstep.registers import RegisterRequest
 from bus.wire.message_type import leaves
 from cell_firmware.message_tracer import TRACE, trace_registers
 from cell_firmware.shard import MESSAGES
 from deploy.checkpoints.checkpointer import make_checkpointer, restore_run
 from deploy.errors import DeployError
-from deploy.recordings.losses import unreported
+from deploy.recordings.losses import rejoined, unreported
 from deploy.recordings.message_trace import trace_of
 from deploy.runs.backends import BusCells
 from deploy.runs.result import RunResult
@@ -160,6 +161,7 @@ class RecordedRun:
         """Start the cells and register everything that hooks into ticks."""
         setup, resumed = self.setup, self.setup.resumed
         self.checker = self._checker()
+        self.system.while_waiting = lambda: self.rejections.poll(MessageCounters())
         for asked in (self.system.status, self.system.waiting):
             if asked is not None and resumed is not None:
                 asked.tick, asked.time_s = resumed.tick, resumed.tick * setup.scene.tick_ns * 1e-9
@@ -217,6 +219,7 @@ class RecordedRun:
                 if cells:
                     process.revive(cells)
                     self.log.on_rejoin(tick, cells)
+                    self.log.warn(rejoined(cells, self.log.cells, tick, self.setup.scene.tick_ns))
                     control.faults.resend_faults(cells, tick)
 
             def lost(record: TickRecord) -> None:

@@ -141,28 +141,31 @@ class Keyring:
             if role != OPERATOR:
                 _check(identity, role)
 
-    def gate(self, cut: ProcessLayout, *, operators: bool = False) -> AccessPolicy:
+    def gate(self, *, operators: bool = False) -> AccessPolicy:
         """Return the access policy of the session that cells join.
 
         Args:
-            cut: Layout of the cells in processes.
             operators: Whether operators may send requests there. They may not listen: this session drops nothing.
         """
         part = part_of(self._access(), operators=False, asking=operators)
-        return self._gate([*size_limits(cut), *QUESTION_LIMITS], part, PLANT)
+        return self._gate(self._limits(), part, PLANT)
 
     def outer_gate(self) -> AccessPolicy:
         """Return the access policy of the session for listeners and operators; cells have no rights there."""
         return self._gate(QUESTION_LIMITS, part_of(self._access(), operators=True), PLANT)
 
     def router_gate(self) -> AccessPolicy:
-        """Return the access policy of a router; it limits no sizes.
+        """Return the access policy of a router, for runs of the layout for which the keys were made.
 
         Raises:
             InputError: The router's keys are missing or not valid.
         """
         _check(identity_of(self._folder / ROUTER, ROUTER), ROUTER)
-        return self._gate([], router_access(self._access(), self.about.kind), ROUTER)
+        return self._gate(self._limits(), router_access(self._access(), self.about.kind), ROUTER)
+
+    def _limits(self) -> list[dict[str, Any]]:
+        """Return the limits of sizes for what comes in."""
+        return [*size_limits(*self.about.largest(), self.about.wire), *QUESTION_LIMITS]
 
     def _gate(self, limits: list[dict[str, Any]], access: dict[str, Any], role: str) -> AccessPolicy:
         from bus.transports.zenoh.session import AccessPolicy

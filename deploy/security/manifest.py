@@ -47,3 +47,13 @@ class KeyManifest(Spec):
     roles: dict[str, tuple[CellName, ...]]
     hosts: tuple[str, ...] = ()
     until: datetime | None = None
+
+    def largest(self) -> tuple[int, int]:
+        """Return the most cells of a process of cells, and the most links from them to other processes."""
+        groups = [cells for cells in self.roles.values() if cells]
+        owner = {cell: number for number, cells in enumerate(groups) for cell in cells}
+        links = [0] * len(groups)
+        for (row, column), own in owner.items():
+            for near in ((row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)):
+                links[own] += owner.get(near, own) != own
+        return max(map(len, groups), default=0), max(links, default=0)

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from bus.lockstep.snapshots import CELL_LIMIT
 from bus.wire.frames import COUNTER_LIMIT, TEXT_LIMIT
-from bus.wire.keys import cell_key, plant_key, shard_key
+from bus.wire.keys import WireFormat, cell_key, plant_key, shard_key
 from deploy.security.roles import OPERATOR, OPERATORS, PLANT, PLANT_AT_ROUTER, Role
 
 if TYPE_CHECKING:
     from bus.transports.zenoh.session import AccessPolicy
-    from deploy.security.roles import ProcessLayout
 
 
 _ENVELOPE: Final = 1 << 10
@@ -29,15 +28,17 @@ _REGISTERS: Final = 1 << 14
 _QUESTION: Final = 1 << 17
 
 
-def size_limits(cut: ProcessLayout) -> list[dict[str, Any]]:
-    """Return Zenoh's ``low_pass_filter`` of the session that cells join.
+def size_limits(cells: int, links: int, wire: WireFormat) -> list[dict[str, Any]]:
+    """Return Zenoh's ``low_pass_filter`` of a session that cells join, the plant's or a router's.
 
     Longer messages are dropped on arrival, and counted as denied.
+
+    Args:
+        cells: Most cells of a process.
+        links: Most links from the cells of a process to others.
+        wire: Wire format.
     """
-    shards = range(cut.partition.count)
-    cells = max(len(cut.partition.cells(shard)) for shard in shards)
-    links = max(len(cut.partition.outgoing(shard)) for shard in shards)
-    relayed = _MESSAGE * links if cut.wire == "relayed" else 0
+    relayed = _MESSAGE * links if wire == "relayed" else 0
     report = 4 * TEXT_LIMIT + COUNTER_LIMIT * (4 * COUNTER_LIMIT + 16) + 16 * cells
     link_keys = ["mdms/*/cell/*/*/to/*", "mdms/*/shard/*/to/*"]
     return [
@@ -140,8 +141,6 @@ def part_of(access: dict[str, Any], *, operators: bool, asking: bool = False) ->
 
 def router_access(access: dict[str, Any], kind: str) -> dict[str, Any]:
     """Return the access control of a router: that of all roles, and the plant's, which connects there.
-
-    Zenoh's limits of sizes are left out: they depend on the layout of the cells, which a router doesn't know.
 
     Args:
         access: Access control of all other roles.

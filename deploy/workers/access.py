@@ -121,7 +121,7 @@ class Access:
         if join is None and keyring is None and (not options.external or options.cluster is not None):
             self._folder = SocketFolder()
             join = socket_in(str(self._folder.path))
-        gate = None if keyring is None else keyring.gate(plan.cut, operators=options.external)
+        gate = None if keyring is None else keyring.gate(operators=options.external)
         outer = open_gate() if keyring is None else keyring.outer_gate()
         joining: Option = "--listen" if options.external and options.cluster is None else "--join"
         hub = self._opened(joining, lambda: open_hub(join, lease_s=self._lease_s, gate=gate))

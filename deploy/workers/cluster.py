@@ -144,6 +144,10 @@ def scheduler_address(text: str, *, insecure: bool) -> str:
             raise InputError(f"{_OPTION} {text}: is no scheduler file: {error}") from None
     match = _ADDRESS.fullmatch(address)
     if match is None:
+        if text.endswith(".json"):
+            raise InputError(
+                f"{_OPTION} {text}: there is no such file; dask scheduler --scheduler-file writes one"
+            )
         raise InputError(
             f"{_OPTION} {text}: must be {LOCAL}, PROTOCOL://HOST:PORT of a Dask scheduler, or its scheduler file"
         )

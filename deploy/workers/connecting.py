@@ -57,6 +57,6 @@ def connect_patiently(
                 raise DeployError(f"--connect: {error}; waited {stall.start_s:g} s (stall.start_s)") from None
             if not said and waited_s > QUIET_S:
                 said = True
-                say(f"{whose} waits for somebody to listen at {connect}")
+                say(f"{whose} waits: {error}")
         if check is not None:
             check()

@@ -106,7 +106,7 @@ class ExternalWorkers:
     def trouble(self, timeout_s: float) -> bool:
         """Wait, name missing shards now and then, and return False: after a refused process the right one may come."""
         time.sleep(timeout_s)
-        if time.monotonic() - self._reported_s > _REPORT_S:
+        if not self._begun and time.monotonic() - self._reported_s > _REPORT_S:
             self._reported_s = time.monotonic()
             if self._missing():
                 self._warn(f"waiting for {self.awaited()}")

@@ -81,13 +81,13 @@ class Respawner:
 
     def _start(self, shard: int, cell: int) -> None:
         row, column = self._partition.lattice.cells[cell]
+        alone = len(self._partition.cells(shard)) == 1
+        name = f"cell {row},{column}" if alone else f"shard {shard}"
         if self._done >= self._most:
             self._absent.pop(shard, None)
-            self._warn(
-                f"the process of cell {row},{column} is not restarted: the limit is {self._most} (--respawn)"
-            )
+            self._warn(f"the process of {name} is not restarted: the limit is {self._most} (--respawn)")
             return
         self._done += 1
         self._absent[shard] = cell
-        self._warn(f"the process of cell {row},{column} {self._how} ({self._done} of {self._most})")
+        self._warn(f"the process of {name} {self._how} ({self._done} of {self._most})")
         self._workers.restart(shard)

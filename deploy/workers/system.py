@@ -72,6 +72,7 @@ class System:
         coordinator: Coordinator of the lockstep; None before ``start``.
         waiting: Control server of the time before the cells are ready; None before ``open``, and where the plant starts
             the cells itself.
+        while_waiting: Called now and then while the cells are waited for; None: nothing is.
         unreported: Indices of the cells that were alive at the end and whose counters did not arrive in time.
 
     Raises:
@@ -104,6 +105,7 @@ class System:
         self._responder: Responder | None = None
         self.status: RunStatus | None = None
         self.waiting: WaitingControl | None = None
+        self.while_waiting: Callable[[], None] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -331,6 +333,8 @@ class System:
 
     def _answer_requests(self) -> bool:
         """Answer operators while the cells are waited for; return whether one of them ends the run."""
+        if self.while_waiting is not None:
+            self.while_waiting()
         if self.waiting is None:
             return False
         self.waiting.serve()

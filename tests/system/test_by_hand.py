@@ -7,11 +7,16 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
+import msgpack
 import pytest
+import zenoh
 
+from bus.transports.base import Received
+from bus.transports.zenoh import ZenohEndpoint, open_client
 from deploy.cli import main
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
+from deploy.security.keyring import identity_of
 from deploy.workers.plan import RunOptions
 from tests.system.running import Mdms, summary_of
 from tests.system.test_keys import free_port, keys_for
@@ -83,6 +88,7 @@ def test_cells_join_in_any_order_and_whoever_differs_is_named_until_an_operator_
     assert stderr.splitlines()[-1].endswith("differs from the plant: seed 5, not 0")
     status, stdout, _ = mdms("status", *at, "--json").end()
     waiting = json.loads(stdout)
+    assert mdms("control", "pause", *at).end()[0] == 0
     assert (status, waiting["state"], [one["shard"] for one in waiting["missing_shards"]]) == (
         1,
         "waiting",
@@ -92,7 +98,7 @@ def test_cells_join_in_any_order_and_whoever_differs_is_named_until_an_operator_
     asked = ["status", "--run", str(tmp_path / "out"), "--json"]
     plant.wait_for(lambda: main(asked) == 0, "the plant and all cells are there")
     running = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert (running["missing"], running["here"]) == (0, 2)
+    assert (running["missing"], running["here"], running["state"]) == (0, 2, "paused")
     assert mdms("control", "stop", *at).end()[0] == 0
     status, stdout, stderr = plant.end()
     assert (status, summary_of(stdout)["status"]) == (130, "interrupted")
@@ -103,6 +109,18 @@ def test_cells_join_in_any_order_and_whoever_differs_is_named_until_an_operator_
             0,
             f"mdms: shard {0 if cells is first else 1} of 2: ",
         )
+
+
+def rude(endpoint: str, keys: Path) -> ZenohEndpoint:
+    """Connect with the keys of shard 0, and put garbage and what is too large on its own key once the run goes on."""
+    session = open_client(endpoint, timeout_s=20.0, identity=identity_of(keys / "cells-0", "cells-0"))
+    session.subscribe("mdms/*/shard/0/sense")
+    sense = session.receive(20.0)
+    assert isinstance(sense, Received), "the run has not begun"
+    own = f"mdms/{sense.key.split('/')[1]}/shard/0/drive"
+    for payload in (b"\xc1", msgpack.packb([1]), bytes(100_000)):
+        session.session.put(own, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+    return session
 
 
 @pytest.mark.slow
@@ -127,13 +145,70 @@ def test_keys_admit_each_role_at_a_plant_and_at_a_router_and_ctrl_c_ends_a_proce
             mdms("cells", scene, "--shard", f"{i}/2", "--connect", endpoint, "--keys", keys / f"cells-{i}")
             for i in (0, 1)
         ]
+        insider = rude(endpoint, keys)
         status, stdout, stderr = plant.end(40.0)
+        insider.close()
         assert status == 0, stderr
-        assert summary_of(stdout)["digest"] == expected.digest
+        summary = summary_of(stdout)
+        assert summary["digest"] == expected.digest
+        assert {("shard 0", "drive: encoding"), ("shard 0", "drive: type")} <= {
+            (row["whose"], row["what"]) for row in summary["refused"]
+        }
         assert [one.end()[0] for one in cells] == [0, 0]
         for process in (impatient, *([] if router is None else [router])):
             process.process.send_signal(signal.SIGINT)
         assert impatient.end()[0] == 130
         if router is not None:
             status, _, stderr = router.end()
-            assert (status, "denied" in stderr) == (0, False)
+            assert (status, [line for line in stderr.splitlines() if "denied" in line]) == (
+                0,
+                ["mdms: denied: cells-0: message"],
+            )
+
+
+@pytest.mark.slow
+def test_a_run_at_a_router_is_chosen_by_its_name_and_ends_on_request_although_it_waits_for_cells(
+    mdms: Start,
+    small: Small,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene, endpoint = small(), f"tcp/127.0.0.1:{free_port()}"
+    at = ("--connect", endpoint)
+    router = mdms("router", "--listen", endpoint)
+    options = ("--shards", 2, *at, "--no-picture", "--set", "stall.lease_s=0.5")
+    plants = {
+        name: mdms("plant", scene, *options, "--run", name, "--output", tmp_path / name) for name in "ab"
+    }
+
+    def asked(*words: str) -> tuple[int, str]:
+        status = main([*words, *at, "--timeout", "0.4"])
+        return status, capsys.readouterr().err
+
+    for name, plant in plants.items():
+        plant.wait_for(lambda name=name: asked("status", "--run", name)[1] == "", "it waits for its cells")
+    several = "there are several runs, name one of them (--run): a, b"
+    for words, status in (
+        (("status",), 1),
+        (("control", "stop"), 2),
+        (("registers", "0,0"), 2),
+        (("fault", "crash", "0,0"), 2),
+    ):
+        found, stderr = asked(*words)
+        assert (found, several in stderr) == (status, True)
+        assert "no run c is here; there are: a, b (--run)" in asked(*words, "--run", "c")[1]
+    assert main(["view", "--no-browser", *at]) == 2
+    assert several in capsys.readouterr().err
+    for words in (("fault", "crash", "0,0"), ("registers", "0,0"), ("control", "step")):
+        assert "the run has not begun" in asked(*words, "--run", "a")[1]
+    status, _, stderr = mdms("plant", scene, *options, "--run", "a", "--output", tmp_path / "c").end()
+    assert (status, "a run a is there already: --run NAME" in stderr) == (2, True)
+    for name, plant in plants.items():
+        assert asked("control", "stop", "--run", name)[0] == 0
+        status, stdout, stderr = plant.end()
+        assert status == 130
+        assert "stopped by an operator" in stdout
+    router.process.send_signal(signal.SIGINT)
+    assert router.end()[0] == 0

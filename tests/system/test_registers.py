@@ -91,7 +91,7 @@ def test_a_running_system_shows_its_cells(mdms: Callable[..., Mdms], tmp_path: P
         (("9x", "--connect", "tcp/127.0.0.1:1"), "9x: must be a cell's row and column, such as 1,2"),
         (("--connect", "tcp/127.0.0.1:1", "--timeout", "0.3"), "no answer"),
         (("--run", "none"), "--run none: no run in progress writes there"),
-        (("--run", "none", "--connect", "tcp/127.0.0.1:1"), "--connect and --run: give one of the two"),
+        (("--run", "a/b", "--connect", "tcp/127.0.0.1:1"), "--run: with --connect it is the name of a run"),
         (("--connect", "tcp/127.0.0.1:1", "--timeout", "-1"), "--timeout -1: must be greater than 0"),
     ],
 )

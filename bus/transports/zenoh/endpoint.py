@@ -236,6 +236,8 @@ class ZenohEndpoint(Endpoint):
 
 
 _PORT_ATTEMPTS: Final = 20
+_PROBE_S: Final = 0.5
+"""Longest wait for an answer to a connection, wall seconds."""
 _RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
 _RUNTIME: Final = (
     "(rx: (worker_threads: 1), tx: (handover: rx), acc: (handover: rx), net: (handover: rx), "
@@ -380,8 +382,45 @@ def open_client(
         TransportError: No session listens there within ``timeout_s``, or it refuses this identity.
     """
     config = client_config(connect, lease_s, timeout_s, identity)
-    with _one_thread() if one_thread else contextlib.nullcontext():
-        return ZenohEndpoint(_open(config, f"connect to {connect}"), connect)
+    try:
+        with _one_thread() if one_thread else contextlib.nullcontext():
+            return ZenohEndpoint(zenoh.open(config), connect)
+    except zenoh.ZError as error:
+        why = _silence(connect, first_line(error)) or _refusal(identity)
+        raise TransportError(f"connect to {connect}: {why}") from None
+
+
+def _refusal(identity: Identity | None) -> str:
+    """Say why somebody who listens may refuse a session, which Zenoh doesn't say."""
+    if identity is None:
+        return (
+            "somebody listens there and refuses sessions without keys (--keys), or is no plant and no router"
+        )
+    if identity.kind == "password":
+        return f"somebody listens there, and the run refuses these keys: the password of {identity.user} is another"
+    return (
+        "somebody listens there, and the run refuses these keys, or its certificate is not for this address"
+    )
+
+
+def _silence(connect: str, problem: str) -> str:
+    """Say why nobody answers at an endpoint; empty: somebody accepts connections there.
+
+    Args:
+        connect: The endpoint.
+        problem: Zenoh's own words, for endpoints that aren't of TCP.
+    """
+    protocol, _, address = connect.partition("/")
+    host, _, port = address.partition("#")[0].partition("?")[0].rpartition(":")
+    if protocol not in ("tcp", "tls") or not port.isdecimal():
+        return f"no answer ({problem})"
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _PROBE_S).close()
+    except ConnectionRefusedError:
+        return "no answer: nobody listens there"
+    except (OSError, OverflowError) as error:
+        return f"no answer: {error}"
+    return ""
 
 
 @contextlib.contextmanager
@@ -407,12 +446,6 @@ def _open(config: zenoh.Config, attempted: str) -> zenoh.Session:
         text = str(error)
         if "in use" in text:
             raise TransportError(f"{attempted}: the port is in use") from None
-        if attempted.startswith("connect to tls"):
-            raise TransportError(
-                f"{attempted}: no answer, or the run refuses these keys ({first_line(error)})"
-            ) from None
-        if attempted.startswith("connect"):
-            raise TransportError(f"{attempted}: no answer ({first_line(error)})") from None
         raise TransportError(f"{attempted}: {first_line(error)}") from None
 
 

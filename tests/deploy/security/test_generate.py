@@ -145,7 +145,7 @@ def test_an_access_control_that_lets_all_pass_is_refused(tmp_path: Path) -> None
         access.read_text().replace('"default_permission": "deny"', '"default_permission": "allow"')
     )
     with pytest.raises(InputError, match="must be enabled, and deny"):
-        Keyring(folder).gate(CUT)
+        Keyring(folder).gate()
 
 
 @pytest.mark.parametrize("name", ["keys.json", "access.json5", "cells-1/authority.pem", ".", "cells-1"])
@@ -157,7 +157,7 @@ def test_certificate_authorities_that_others_can_change_are_refused(name: str, t
     def used() -> None:
         keyring = Keyring(folder)
         keyring.check(CUT, None)
-        keyring.gate(CUT)
+        keyring.gate()
 
     with pytest.raises(InputError, match=r"others can change it, mode 0\d\d\d: chmod go-w .*keys"):
         used()
@@ -165,7 +165,7 @@ def test_certificate_authorities_that_others_can_change_are_refused(name: str, t
 
 def test_cells_and_operators_have_a_session_each(tmp_path: Path) -> None:
     keyring = Keyring(made(tmp_path / "keys"))
-    inner, outer = (json.loads(gate.access) for gate in (keyring.gate(CUT), keyring.outer_gate()))
+    inner, outer = (json.loads(gate.access) for gate in (keyring.gate(), keyring.outer_gate()))
     assert [one["id"] for one in inner["subjects"]] == ["cells-0", "cells-1"]
     assert [one["subjects"] for one in inner["policies"]] == [["cells-0"], ["cells-1"]]
     assert [one["id"] for one in outer["subjects"]] == ["operator"]

@@ -14,6 +14,7 @@ from bus.wire.format import RunSchema
 from bus.wire.formats import FORMATS, WireFormat
 from bus.wire.frames import COUNTER_LIMIT, TEXT_LIMIT, DriveFrame, LinkFrame, Report, encode_report
 from bus.wire.keys import intersects, plant_key, shard_key
+from deploy.security.manifest import KeyManifest
 from deploy.security.policy import access_control, size_limits
 from deploy.security.roles import OPERATOR, PLANT, ProcessLayout, Role, roles_of
 
@@ -96,7 +97,12 @@ def test_what_a_process_puts_is_within_the_limits_and_little_more_than_it_needs(
     made = cut(form, shards)
     large = np.dtype([(f"a_field_of_some_length_{i}", "<f8") for i in range(64)])
     wiring = RunSchema("some-run", made.partition, SensorSchema(1), large)
-    limits = {limit["id"]: limit for limit in size_limits(made)}
+    manifest = KeyManifest(
+        kind="password", scene="a", wire=form, roles={role.name: role.cells for role in roles_of(made)}
+    )
+    links = max(len(made.partition.outgoing(shard)) for shard in range(shards))
+    assert manifest.largest() == (max(map(len, map(made.cells, range(shards)))), links)
+    limits = {limit["id"]: limit for limit in size_limits(*manifest.largest(), form)}
 
     def limit_of(key: str) -> int:
         (found,) = [one for one in limits.values() if any(intersects(key, expr) for expr in one["key_exprs"])]

@@ -46,8 +46,8 @@ def test_a_process_is_started_once_however_many_of_its_cells_were_lost() -> None
     processes.lose(3, reason="timed_out")
     assert processes.restarted == [0, 1]
     assert processes.warned == [
-        "the process of cell 0,1 is restarted (1 of 9)",
-        "the process of cell 0,3 is restarted (2 of 9)",
+        "the process of shard 0 is restarted (1 of 9)",
+        "the process of shard 1 is restarted (2 of 9)",
     ]
 
 
@@ -80,5 +80,5 @@ def test_a_process_that_ends_before_it_takes_part_is_started_as_often_as_is_allo
         assert processes.respawn.poll_rejoined(tick) == []
     assert processes.restarted == [1] * most
     assert processes.warned[most:] == [
-        f"the process of cell 0,2 is not restarted: the limit is {most} (--respawn)"
+        f"the process of shard 1 is not restarted: the limit is {most} (--respawn)"
     ]
