@@ -99,7 +99,7 @@ class Access:
         return hub
 
     def _check_alone(self, hub: ZenohEndpoint, router: str) -> None:
-        """Check that no other plant has the run's name there; one that was killed is forgotten after its lease.
+        """Refuse the name of another plant's run; a killed plant's token goes after its lease.
 
         Raises:
             InputError: There is one, and cells would take both for the same.
