@@ -92,13 +92,13 @@ class Access:
             router, self._stall, identity, "the plant", say, check=check, one_thread=False
         )
         try:
-            self._check_alone(hub, router)
+            self._check_alone(hub, router, check)
         except BaseException:
             hub.close()
             raise
         return hub
 
-    def _check_alone(self, hub: ZenohEndpoint, router: str) -> None:
+    def _check_alone(self, hub: ZenohEndpoint, router: str, check: Callable[[], None] | None) -> None:
         """Refuse the name of another plant's run; a killed plant's token goes after its lease.
 
         Raises:
@@ -110,6 +110,8 @@ class Access:
                 raise InputError(
                     f"--connect {router}: a run {run} is there already: --run NAME gives this one another name"
                 )
+            if check is not None:
+                check()
             time.sleep(_AGAIN_S)
 
     def _listening(self) -> ZenohEndpoint:
