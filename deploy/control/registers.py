@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 Cell = tuple[int, int]
 
+_DEAF: Final = (
+    "With keys, mdms plant --listen takes no listeners: use --run DIR on the plant's host, or a router"
+)
 _MOST_CELLS: Final = 1_000_000
 """Most cells of a shard, which bounds the size of a frame."""
 _ATTEMPT_S: Final = 1.0
@@ -81,6 +84,8 @@ def read_registers(
         except DeployError as error:
             if absent := absence(endpoint, name):
                 raise InputError(f"{connect}: {absent}") from None
+            if keys is not None and not isinstance(error, InputError | RequestError):
+                raise DeployError(f"{error} {_DEAF}") from None
             raise error from None
     finally:
         endpoint.close()

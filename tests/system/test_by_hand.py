@@ -6,6 +6,7 @@ import json
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgpack
 import pytest
@@ -86,14 +87,18 @@ def test_cells_join_in_any_order_and_whoever_differs_is_named_until_an_operator_
     status, _, stderr = other.end()
     assert status == 2
     assert stderr.splitlines()[-1].endswith("differs from the plant: seed 5, not 0")
-    status, stdout, _ = mdms("status", *at, "--json").end()
-    waiting = json.loads(stdout)
+    asked = ["status", *at, "--json"]
+    waiting: dict[str, Any] = {}
+
+    def here() -> bool:
+        assert main(asked) == 1
+        waiting.update(json.loads(capsys.readouterr().out))
+        return waiting["here"] == 1
+
+    plant.wait_for(here, "the first shard is there")
+    assert waiting["state"] == "waiting"
+    assert [one["shard"] for one in waiting["missing_shards"]] == [1]
     assert mdms("control", "pause", *at).end()[0] == 0
-    assert (status, waiting["state"], [one["shard"] for one in waiting["missing_shards"]]) == (
-        1,
-        "waiting",
-        [1],
-    )
     second = mdms("cells", scene, "--shard", "1/2", *at)
     asked = ["status", "--run", str(tmp_path / "out"), "--json"]
     plant.wait_for(lambda: main(asked) == 0, "the plant and all cells are there")

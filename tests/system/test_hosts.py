@@ -110,7 +110,7 @@ def test_a_router_that_is_restarted_loses_all_cells_by_name_and_they_rejoin_when
     hosts: Hosts, small: Small, tmp_path: Path
 ) -> None:
     scene = small(PATIENT)
-    scene.write_text(scene.read_text().replace("duration_s = 0.2", "duration_s = 12.0"))
+    scene.write_text(scene.read_text().replace("duration_s = 0.2", "duration_s = 30.0"))
     apart = Apart(hosts, scene, tmp_path / "out", "--realtime", "--respawn", 4)
     apart.wait_until_recorded(12_000)
     apart.routers[0].kill()
