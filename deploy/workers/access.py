@@ -88,9 +88,7 @@ class Access:
         """Connect to a router."""
         identity = None if self._keyring is None else self._keyring.plant_as_client()
         self.join = self.locator = router
-        hub = connect_patiently(
-            router, self._stall, identity, "the plant", say, check=check, one_thread=False
-        )
+        hub = connect_patiently(router, self._stall, identity, "the plant", say, check=check, plant=True)
         try:
             self._check_alone(hub, router, check)
         except BaseException:

@@ -27,7 +27,7 @@ def connect_patiently(
     say: Callable[[str], None],
     check: Callable[[], None] | None = None,
     *,
-    one_thread: bool = True,
+    plant: bool = False,
 ) -> ZenohEndpoint:
     """Connect to an endpoint, and wait up to ``stall.start_s`` until somebody listens there.
 
@@ -38,18 +38,24 @@ def connect_patiently(
         whose: Name of this process in messages.
         say: Called with a line that says what is waited for.
         check: Called between attempts; may raise to end the wait.
-        one_thread: Whether one of Zenoh's threads is enough for this process.
+        plant: Whether it is a plant that connects, which takes smaller payloads and uses more of Zenoh's threads.
 
     Raises:
         DeployError: Nobody listens there in time, or these keys are refused.
     """
     from bus.transports.zenoh import open_client
+    from bus.transports.zenoh.session import AT_PLANT
 
     begun, said = time.monotonic(), False
     while True:
         try:
             return open_client(
-                connect, lease_s=stall.lease_s, timeout_s=_ATTEMPT_S, identity=identity, one_thread=one_thread
+                connect,
+                lease_s=stall.lease_s,
+                timeout_s=_ATTEMPT_S,
+                identity=identity,
+                one_thread=not plant,
+                largest=AT_PLANT if plant else None,
             )
         except TransportError as error:
             waited_s = time.monotonic() - begun

@@ -24,7 +24,16 @@ from bus.lockstep import Loss
 from bus.partition import Partition
 from bus.spec import StallSpec
 from bus.transports.base import Event, LivelinessChange, Received
-from bus.transports.zenoh import AccessPolicy, client_config, hub_config, open_client, open_hub, open_outside
+from bus.transports.zenoh import (
+    AccessPolicy,
+    Identity,
+    Password,
+    client_config,
+    hub_config,
+    open_client,
+    open_hub,
+    open_outside,
+)
 from bus.transports.zenoh.endpoint import ZenohEndpoint, free_port
 from bus.transports.zenoh.linger import LingerReset, tcp_ports
 from bus.transports.zenoh.receive import drain as drain_channels
@@ -88,6 +97,23 @@ def test_connecting_where_nobody_listens_fails_in_its_time() -> None:
     with pytest.raises(TransportError, match=f"connect to {connect}: no answer"):
         open_client(connect, timeout_s=0.3)
     assert time.monotonic() - start < 5.0
+
+
+@pytest.mark.parametrize(
+    ("identity", "problem"),
+    [
+        (None, "refuses sessions without keys"),
+        (Password("cells-1", "guessed"), "the run refuses these keys: the password of cells-1 is another"),
+    ],
+    ids=["no keys", "password"],
+)
+def test_connecting_where_somebody_listens_and_refuses_says_so(
+    identity: Identity | None, problem: str
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        connect = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(TransportError, match=f"connect to {connect}: somebody listens there.*{problem}"):
+            open_client(connect, timeout_s=0.3, identity=identity)
 
 
 def test_nobody_joins_by_accident() -> None:

@@ -368,6 +368,7 @@ def open_client(
     timeout_s: float = 10.0,
     identity: Identity | None = None,
     one_thread: bool = True,
+    largest: int | None = None,
 ) -> ZenohEndpoint:
     """Open the session of a cell process or an observer; call it after a fork, never before.
 
@@ -377,11 +378,12 @@ def open_client(
         timeout_s: Time to retry while there is no listener, s.
         identity: Identity to present; None: none.
         one_thread: Whether one of Zenoh's threads is enough, as where a few payloads are exchanged in a tick.
+        largest: Bytes of the largest payload that comes in; None: ``session.LARGEST``.
 
     Raises:
         TransportError: No session listens there within ``timeout_s``, or it refuses this identity.
     """
-    config = client_config(connect, lease_s, timeout_s, identity)
+    config = client_config(connect, lease_s, timeout_s, identity, largest)
     try:
         with _one_thread() if one_thread else contextlib.nullcontext():
             return ZenohEndpoint(zenoh.open(config), connect)

@@ -91,7 +91,7 @@ class AccessPolicy:
 
 LARGEST: Final = 1 << 28
 """Bytes of the largest payload that comes in: several times the senses of a million cells."""
-_AT_PLANT: Final = 1 << 26
+AT_PLANT: Final = 1 << 26
 """Bytes of the largest payload received by the plant: 64 MiB, the drives of four million cells in one shard."""
 _INTO_MIRROR: Final = 1 << 20
 """Bytes of the largest message that the mirror's session takes."""
@@ -120,7 +120,7 @@ def hub_config(listen: str, lease_s: float = LEASE_S, gate: AccessPolicy | None 
     _set(config, "transport/unicast/max_sessions", "20000")
     _set(config, "transport/unicast/accept_pending", "2000")
     # What comes in pieces is put together in memory before anybody can refuse it.
-    _set(config, "transport/link/rx/max_message_size", str(min(LARGEST, _AT_PLANT)))
+    _set(config, "transport/link/rx/max_message_size", str(min(LARGEST, AT_PLANT)))
     for key, value in ({} if gate is None else gate.settings()).items():
         _set(config, key, value)
     return config
@@ -153,15 +153,20 @@ def mirror_config(listen: str, lease_s: float, gate: AccessPolicy) -> zenoh.Conf
 
 
 def client_config(
-    connect: str, lease_s: float = LEASE_S, timeout_s: float = 10.0, identity: Identity | None = None
+    connect: str,
+    lease_s: float = LEASE_S,
+    timeout_s: float = 10.0,
+    identity: Identity | None = None,
+    largest: int | None = None,
 ) -> zenoh.Config:
-    """Return the settings of a cell process's session.
+    """Return the settings of a session that connects: a cell process's, an operator's, or the plant's to a router.
 
     Args:
         connect: The plant's endpoint.
         lease_s: Silence after which the plant takes this process for dead, s.
         timeout_s: Time to retry while there is no listener, s.
         identity: Identity to present to the plant; None: none.
+        largest: Bytes of the largest payload that comes in; None: ``LARGEST``.
     """
     config = _config("client", lease_s)
     _set(config, "connect/endpoints", json.dumps([connect]))
@@ -169,6 +174,7 @@ def client_config(
     _set(config, "connect/exit_on_failure", "true")
     _set(config, "connect/retry", "{period_init_ms: 20, period_max_ms: 200, period_increase_factor: 2}")
     _set(config, "listen/endpoints", "[]")
+    _set(config, "transport/link/rx/max_message_size", str(largest or LARGEST))
     for key, value in ({} if identity is None else identity.settings("connect")).items():
         _set(config, key, value)
     return config
