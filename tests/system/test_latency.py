@@ -150,7 +150,8 @@ def test_a_run_goes_on_from_a_checkpoint_with_drives_and_messages_under_way(
     again = options_of(checkpoint, RunOptions(output=tmp_path, picture=False))
     resumed = run(scene_of(checkpoint), again, quiet=True, resumed=checkpoint).summary
     assert resumed.digest == whole.digest
-    assert resumed.messages == whole.messages
+    # how much still comes from a dropped cell is a matter of the wall clock
+    assert replace(resumed.messages, late=0) == replace(whole.messages, late=0)
 
 
 @pytest.mark.slow
