@@ -165,6 +165,7 @@ class _Agent:
         self._held_tick = -1
         self._inputs: TickInputs | Control | bytes | None = None
         self._codec: Final = shard.payload_codec(member.layouts)
+        member.read_registers_by(shard.registers)
 
     async def run(self, loop: TransportEventLoop, first: int, watch: Watch | None) -> ShardResult:
         """Run ticks from ``first`` on."""

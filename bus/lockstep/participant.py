@@ -22,7 +22,7 @@ from bus.lockstep.snapshots import MessageBytes, SnapshotPublisher
 from bus.partition import Partition
 from bus.sensors import SensorSchema
 from bus.spec import NO_LATENCY, BusSpec, StallSpec
-from bus.transports.base import Endpoint, Received
+from bus.transports.base import Endpoint, Event, Received, Wakeup
 from bus.wire.fixed_layout import PayloadLayout
 from bus.wire.format import ParticipantCodec, RunSchema
 from bus.wire.formats import FORMATS, WireFormat
@@ -97,7 +97,7 @@ class Participant:
         self.counters = MessageCounters()
         self._tick = 0
         self._answer_until = 0.0
-        self._known_changes, self._next_death = -1, NO_TICK_LIMIT
+        self._known_changes, self._next_death = 0, NO_TICK_LIMIT
         """Changes of membership that the caller of ``gather`` has seen, and the next death in the shard."""
         self._declared: list[str] = []
         lives = self._lives = Membership(len(partition.lattice))
@@ -372,13 +372,32 @@ class Participant:
         Raises:
             WaitInterrupted: ``endpoint.wake`` was called; the call may be repeated.
         """
-        if not self._is_plain(tick):
+        while self._is_plain(tick):
+            self._tick = tick
+            events = self._endpoint.receive_all(None)
+            if len(events) == 1 and type(events[0]) is Received and events[0].key == self._only_key:
+                return events[0].payload
+            if (payload := self._handle_others(tick, events)) is not None:
+                return payload
+        return None
+
+    def _handle_others(self, tick: int, events: Sequence[Event]) -> bytes | None:
+        """Handle events, but a single sense payload that came with others which leave the tick a plain one.
+
+        Returns:
+            That payload, as for ``take_payload``; None: all are handled.
+
+        Raises:
+            WaitInterrupted: There was a wakeup; all other events have been handled.
+        """
+        own = [event for event in events if type(event) is Received and event.key == self._only_key]
+        if len(own) != 1 or any(type(event) is Wakeup for event in events):
+            self._inbox.handle(events)
             return None
-        self._tick = tick
-        events = self._endpoint.receive_all(None)
-        if len(events) == 1 and type(events[0]) is Received and events[0].key == self._only_key:
-            return events[0].payload
-        self._inbox.handle(events)
+        self._inbox.handle([event for event in events if event is not own[0]])
+        if self._is_plain(tick):
+            return own[0].payload
+        self._inbox.handle(own)
         return None
 
     def answer(self, payload: bytes) -> None:
@@ -403,7 +422,7 @@ class Participant:
             and not control.rejoins_offered
             and control.snapshot_tick <= tick
             and not control.has_faults
-            and self._registers.idle
+            and self._registers.is_idle()
             and self._incoming.untouched(tick)
         )
 
@@ -430,6 +449,10 @@ class Participant:
                 called only if the registers are requested.
         """
         self._registers.publish(tick, read)
+
+    def read_registers_by(self, read: Callable[[], Own]) -> None:
+        """Have ``read`` return the registers for an observer that asks before a tick has published any."""
+        self._registers.read = read
 
     # --- who takes part -------------------------------------------------------------------------
 
