@@ -207,6 +207,7 @@ class RegisterPublisher:
 
     Attributes:
         read: Returns the registers, for observers that ask before a tick has published any.
+        next_look: Wall seconds by ``clock`` from which ``is_idle`` looks for observers again.
     """
 
     def __init__(
@@ -220,7 +221,7 @@ class RegisterPublisher:
         self.requests = tuple(wanted)
         self._counts = counts
         self._clock = clock
-        self._next_poll = 0.0
+        self.next_look = 0.0
         self._observed = False
         """Whether an observer was found and has not been shown the registers since."""
         self.read: Callable[[], Own] | None = None
@@ -258,8 +259,8 @@ class RegisterPublisher:
     def _is_observed(self) -> bool:
         """Return whether the registers are to be shown to an observer, looked for a few times a second."""
         now = self._clock()
-        if now >= self._next_poll:
-            self._next_poll = now + _SHOW_S
+        if now >= self.next_look:
+            self.next_look = now + _SHOW_S
             self._observed = self.publisher.matched()
         return self._observed
 
