@@ -357,10 +357,9 @@ class Participant:
 
     # --- a tick in which nothing but its payload is handled ----------------------------------------
 
-    @property
-    def layouts(self) -> tuple[PayloadLayout, PayloadLayout] | None:
-        """Layouts of the shard's only payload each way in a tick; None where ``take_payload`` has none."""
-        return self._incoming.single_layouts
+    def layouts(self, tick: int) -> tuple[PayloadLayout, PayloadLayout] | None:
+        """Return the layouts of the shard's only payload each way in a tick; None where ``take_payload`` has none."""
+        return self._incoming.single_layouts(tick)
 
     def take_payload(self, tick: int) -> bytes | None:
         """Wait for the sense payload of a tick, where the tick is like nearly all: nothing else is to be handled.

@@ -134,10 +134,9 @@ class InboundFrames:
         """Last tick of which senses have come, for dead cells too."""
         return self._senses.newest
 
-    @property
-    def single_layouts(self) -> tuple[PayloadLayout, PayloadLayout] | None:
-        """Layouts of the shard's only payload each way in a tick; None if there are others."""
-        return self._form.layouts
+    def single_layouts(self, tick: int) -> tuple[PayloadLayout, PayloadLayout] | None:
+        """Return the layouts of the shard's only payload each way in a tick; None if there are others."""
+        return self._form.layouts(tick)
 
     @property
     def single_key(self) -> str:
