@@ -167,8 +167,8 @@ class _Agent:
         self._awaited = 0
         self._held_tick = -1
         self._inputs: TickInputs | Control | None = None
-        self._done: ShardOutputs | None = None
-        """Outputs of the tick awaited, where programs failed in a plain one."""
+        self._done: ShardOutputs | Exception | None = None
+        """Outputs of the tick awaited, where programs failed in a plain one; or the error of the step itself."""
         self._codec: Final = shard.payload_codec(member.layouts)
         member.read_registers_by(shard.registers)
 
@@ -187,6 +187,8 @@ class _Agent:
                     if (live != before).any():
                         cells = zip(self._shard.cells, live, strict=True)
                         self._shard.retire(cell for cell, lives in cells if not lives)
+                if isinstance(done, Exception):
+                    raise done
                 with nullcontext() if watch is None else watch:
                     outputs = self._step(tick, inputs) if done is None else done
             except BaseException as error:  # noqa: BLE001 - whatever comes out of a step is its cells' failure
@@ -220,7 +222,10 @@ class _Agent:
         member, tick = self._member, self._awaited
         take, answer, step = member.take_payload, member.answer, self._shard.step_payload
         while (payload := take(tick)) is not None:
-            done = step(codec, tick, payload)
+            try:
+                done = step(codec, tick, payload)
+            except Exception as error:  # noqa: BLE001 - raised again where it is its cells' failure
+                done = error
             if not isinstance(done, bytes):
                 self._done = done
                 member.gather_again(payload)
