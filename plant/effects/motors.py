@@ -234,11 +234,12 @@ class Motors:
     def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> Floats | None:
         """Take speed and travel ``span_s`` seconds along ``run``; see ``plant.wheels.Wheels``."""
         motion, begun, passed = run.motion, self._travel, None
-        if run.changes is not None or reads_s is not None:
-            passed, travel, speed = self._pass_changes(run, span_s, reads_s)
         if run.changes is not None:
-            self._travel, self._speed = begun + travel, speed
+            passed, travel, self._speed = self._pass_changes(run, span_s, reads_s)
+            self._travel = begun + travel
         else:
+            if reads_s is not None:
+                passed, _, _ = self._pass_changes(run, span_s, reads_s)
             left = math.exp(-motion.rate * span_s)
             covered = -math.expm1(-motion.rate * span_s) / motion.rate
             self._travel, self._speed = np.empty_like(begun), np.empty_like(begun)
