@@ -132,7 +132,8 @@ class Endpoint(ABC):
         """Wait for an event, and return the payload of ``key`` if nothing else is there.
 
         Returns:
-            The payload; None: whatever came is left for ``receive_all``.
+            The payload, where further ones of ``key`` may be left for later calls; None: whatever came is left for
+            ``receive_all``.
         """
         events = self.receive_all(None)
         if len(events) == 1 and type(event := events[0]) is Received and event.key == key:
