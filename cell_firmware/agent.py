@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Final, Protocol, final
+from typing import TYPE_CHECKING, Final, Protocol, final
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from bus.wire.frames import TEXT_LIMIT, Control, DriveFrame, LinkFrame
 from cell_firmware.effects.base import ShardContext
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.shard import BoundaryMessages, Shard, ShardOutputs
+
+if TYPE_CHECKING:
+    from cell_firmware.payload_codec import PayloadCodec
 
 
 @final
@@ -163,25 +166,18 @@ class _Agent:
         self._reported: set[str] = set()
         self._awaited = 0
         self._held_tick = -1
-        self._inputs: TickInputs | Control | bytes | None = None
+        self._inputs: TickInputs | Control | None = None
+        self._done: ShardOutputs | Exception | None = None
+        """Outputs of the tick awaited, where programs failed in a plain one; or the error of the step itself."""
         self._codec: Final = shard.payload_codec(member.layouts)
+        member.read_registers_by(shard.registers)
 
     async def run(self, loop: TransportEventLoop, first: int, watch: Watch | None) -> ShardResult:
         """Run ticks from ``first`` on."""
         tick, live = first, np.ones(len(self._shard), dtype=np.bool_)
         while True:
             inputs = await self._gather(loop, tick)
-            done: ShardOutputs | None = None
-            if isinstance(inputs, bytes):
-                assert self._codec is not None, "this is a bug: a payload without a codec"
-                answer = self._shard.step_payload(self._codec, tick, inputs)
-                if isinstance(answer, bytes):
-                    self._member.answer(answer)
-                    tick += 1
-                    continue
-                done = answer
-                self._member.gather_again(inputs)
-                inputs = await self._gather(loop, tick)
+            tick, done, self._done = self._awaited, self._done, None
             if not isinstance(inputs, tuple):
                 break
             self._apply_faults(tick)
@@ -191,6 +187,8 @@ class _Agent:
                     if (live != before).any():
                         cells = zip(self._shard.cells, live, strict=True)
                         self._shard.retire(cell for cell, lives in cells if not lives)
+                if isinstance(done, Exception):
+                    raise done
                 with nullcontext() if watch is None else watch:
                     outputs = self._step(tick, inputs) if done is None else done
             except BaseException as error:  # noqa: BLE001 - whatever comes out of a step is its cells' failure
@@ -200,23 +198,40 @@ class _Agent:
                     return self._result(tick - first, "a program did not return in time")
                 self._publish(tick, outputs)
             tick += 1
-        assert isinstance(inputs, Control), "this is a bug: a payload for a tick that is no plain one"
         return self._result(tick - first, inputs.detail)
 
-    async def _gather(self, loop: TransportEventLoop, tick: int) -> TickInputs | Control | bytes:
-        """Return the inputs of a tick, a stop record, or the senses' payload where the shard takes payloads."""
+    async def _gather(self, loop: TransportEventLoop, tick: int) -> TickInputs | Control:
+        """Return the inputs of the first tick from ``tick`` on that is not a plain one, or a stop record."""
         self._awaited = tick
         await loop.poll_until(self._poll)
         assert self._inputs is not None, "this is a bug: a wait that ended without inputs"
         return self._inputs
 
     def _poll(self, timeout_s: float | None) -> bool:
-        """Gather the inputs of the tick awaited; return whether there are any."""
-        tick, member = self._awaited, self._member
-        self._inputs = member.take_payload(tick) if self._codec is not None and timeout_s is None else None
-        if self._inputs is None:
-            self._inputs = member.gather(tick, timeout_s)
+        """Answer plain ticks, then gather the inputs of the tick awaited; return whether there are any."""
+        if self._codec is not None and timeout_s is None and self._done is None:
+            self._answer_plain_ticks(self._codec)
+        self._inputs = self._member.gather(self._awaited, timeout_s)
         return self._inputs is not None
+
+    def _answer_plain_ticks(self, codec: PayloadCodec) -> None:
+        """Step from payload to payload while ticks need no more, without a turn of the event loop.
+
+        In a process of one cell each call of a tick costs several times its usual time, so that there are few.
+        """
+        member, tick = self._member, self._awaited
+        take, answer, step = member.take_payload, member.answer, self._shard.step_payload
+        while (payload := take(tick)) is not None:
+            try:
+                done = step(codec, tick, payload)
+            except Exception as error:  # noqa: BLE001 - raised again where it is its cells' failure
+                done = error
+            if not isinstance(done, bytes):
+                self._done = done
+                member.gather_again(payload)
+                return
+            answer(done)
+            self._awaited = tick = tick + 1
 
     def _result(self, ticks: int, detail: str) -> ShardResult:
         return ShardResult(ticks, detail, tuple(self._failures), self._member.stopped)

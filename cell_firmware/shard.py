@@ -14,7 +14,7 @@ from bus.errors import StateError
 from bus.partition import Partition
 from bus.sensors import CameraFrame, Labels
 from bus.state import StateFields
-from bus.wire.fixed_layout import PayloadLayout
+from bus.wire.fixed_layout import Layouts
 from bus.wire.message_type import leaves
 from cell_firmware.board import PROGRAM, has_kernels
 from cell_firmware.controller import Controller, ControllerState, StepTime, read_only
@@ -226,17 +226,17 @@ class Shard:
         self._drive = drive
         return ShardOutputs(drive, self.boundary_links, failures, hung)
 
-    def payload_codec(self, layouts: tuple[PayloadLayout, PayloadLayout] | None) -> PayloadCodec | None:
+    def payload_codec(self, layouts: Layouts) -> PayloadCodec | None:
         """Return the codec of the payloads that ``step_payload`` takes and returns; None if it takes none.
 
         Args:
-            layouts: Of the shard's only payload each way in a tick; None: there are others.
+            layouts: From a tick to the layouts of the shard's only payload each way; None: there are others.
         """
-        if self._kernel is None or layouts is None:
+        if self._kernel is None or layouts(0) is None:
             return None
         from cell_firmware.payload_codec import PayloadCodec
 
-        return PayloadCodec(*layouts, self._kernel.buffers)
+        return PayloadCodec(layouts, self._kernel.buffers)
 
     def step_payload(self, codec: PayloadCodec, tick: int, payload: bytes) -> bytes | ShardOutputs | None:
         """Step all cells by one control period, from payload to payload.

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal, NamedTuple, Protocol, final
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,54 +74,16 @@ class WheelRun:
         most = max(max(float(speed.max(initial=0.0)), -float(speed.min(initial=0.0))) for speed in speeds)
         return math.sqrt(2.0) * most
 
-    def speed(self, after_s: Floats | float) -> Floats:
-        """``(n, 2)`` m/s after so many seconds, ``(n, 2)`` or one for all."""
-        motion = self.motion
-        speed: Floats = motion.steady + motion.decay * _exp(-motion.rate * np.asarray(after_s))
-        for begun, steady, decay in self._each_change():
-            on = begun <= after_s
-            left = _exp(-motion.rate * (after_s - np.minimum(begun, after_s)))
-            speed = np.where(on, steady + decay * left, speed)
-        return speed
-
-    def travel(self, after_s: Floats | float) -> Floats:
-        """``(..., n, 2)`` m of surface passed after so many seconds, ``(..., n)`` or one for all; where wheels lag."""
-        motion, change = self.motion, self.changes
-        instants: Floats = np.asarray(after_s)[..., None]
-        if change is None:
-            return _travel_of(motion.steady, motion.decay, motion.rate, instants)
-        until: Floats = np.minimum.accumulate(change.after_s[::-1])[::-1]
-        travel = _travel_of(motion.steady, motion.decay, motion.rate, np.minimum(instants, until[0]))
-        for k, (begun, steady, decay) in enumerate(self._each_change(), start=1):
-            end = np.minimum(instants, until[k]) if k < len(until) else instants
-            travel = travel + _travel_of(steady, decay, motion.rate, np.maximum(end - begun, 0.0))
-        return travel
-
-    def _each_change(self) -> Iterable[tuple[Floats, Floats, Floats]]:
-        return () if self.changes is None else zip(*self.changes, strict=True)
-
 
 def _exp(x: Floats) -> Floats:
     """Return the exponential of each element, from the C library as kernels have it (``bus.elementary`` tells why)."""
-    return _of_each("exp_of_each", x)
-
-
-def _expm1(x: Floats) -> Floats:
-    """Return ``exp(x) - 1`` of each element, likewise."""
-    return _of_each("expm1_of_each", x)
-
-
-def _of_each(kernel: str, x: Floats) -> Floats:
     from plant.kernels.wheels import entry  # loads numba: only where wheels lag
 
+    kernels: Any = entry
     values = np.ascontiguousarray(x)
     found = np.empty_like(values)
-    getattr(entry, kernel)(values.reshape(-1), found.reshape(-1))
+    kernels.exp_of_each(values.reshape(-1), found.reshape(-1))
     return found
-
-
-def _travel_of(steady: Floats, decay: Floats, rate: float, span_s: Floats) -> Floats:
-    return steady * span_s - decay * (_expm1(-rate * span_s) / rate)
 
 
 @final

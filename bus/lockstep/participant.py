@@ -22,7 +22,7 @@ from bus.lockstep.snapshots import MessageBytes, SnapshotPublisher
 from bus.partition import Partition
 from bus.sensors import SensorSchema
 from bus.spec import NO_LATENCY, BusSpec, StallSpec
-from bus.transports.base import Endpoint, Received
+from bus.transports.base import Endpoint, Event, Received, Wakeup
 from bus.wire.fixed_layout import PayloadLayout
 from bus.wire.format import ParticipantCodec, RunSchema
 from bus.wire.formats import FORMATS, WireFormat
@@ -97,8 +97,10 @@ class Participant:
         self.counters = MessageCounters()
         self._tick = 0
         self._answer_until = 0.0
-        self._known_changes, self._next_death = -1, NO_TICK_LIMIT
+        self._known_changes, self._next_death = 0, NO_TICK_LIMIT
         """Changes of membership that the caller of ``gather`` has seen, and the next death in the shard."""
+        self._plain_end = 0
+        """First tick that may not be a plain one, unless something is handled before; see ``_is_plain``."""
         self._declared: list[str] = []
         lives = self._lives = Membership(len(partition.lattice))
         self._incoming = InboundFrames(wiring, shard, self._form, lives, self.counters)
@@ -241,7 +243,7 @@ class Participant:
         """
         # In a process of a single cell each call of a tick costs several times its usual time: nothing is in the
         # processor's caches by then.
-        self._tick = tick
+        self._tick, self._plain_end = tick, 0
         control, membership = self._control, self._membership
         if control.rejoins_offered:
             control.rejoins_offered = [offer for offer in control.rejoins_offered if not self._offer(offer)]
@@ -355,10 +357,9 @@ class Participant:
 
     # --- a tick in which nothing but its payload is handled ----------------------------------------
 
-    @property
-    def layouts(self) -> tuple[PayloadLayout, PayloadLayout] | None:
-        """Layouts of the shard's only payload each way in a tick; None where ``take_payload`` has none."""
-        return self._incoming.single_layouts
+    def layouts(self, tick: int) -> tuple[PayloadLayout, PayloadLayout] | None:
+        """Return the layouts of the shard's only payload each way in a tick; None where ``take_payload`` has none."""
+        return self._incoming.single_layouts(tick)
 
     def take_payload(self, tick: int) -> bytes | None:
         """Wait for the sense payload of a tick, where the tick is like nearly all: nothing else is to be handled.
@@ -372,29 +373,53 @@ class Participant:
         Raises:
             WaitInterrupted: ``endpoint.wake`` was called; the call may be repeated.
         """
-        if not self._is_plain(tick):
+        while (tick < self._plain_end and self._clock() < self._registers.next_look) or self._is_plain(tick):
+            self._tick = tick
+            payload = self._endpoint.receive_payload(self._only_key)
+            if payload is not None:
+                return payload
+            if (payload := self._handle_others(tick, self._endpoint.receive_all(0.0))) is not None:
+                return payload
+        return None
+
+    def _handle_others(self, tick: int, events: Sequence[Event]) -> bytes | None:
+        """Handle events, but a single sense payload that came with others which leave the tick a plain one.
+
+        Returns:
+            That payload, as for ``take_payload``; None: all are handled.
+
+        Raises:
+            WaitInterrupted: There was a wakeup; all other events have been handled.
+        """
+        self._plain_end = 0
+        own = [event for event in events if type(event) is Received and event.key == self._only_key]
+        if len(own) != 1 or any(type(event) is Wakeup for event in events):
+            self._inbox.handle(events)
             return None
-        self._tick = tick
-        events = self._endpoint.receive_all(None)
-        if len(events) == 1 and type(events[0]) is Received and events[0].key == self._only_key:
-            return events[0].payload
-        self._inbox.handle(events)
+        self._inbox.handle([event for event in events if event is not own[0]])
+        if self._is_plain(tick):
+            return own[0].payload
+        self._inbox.handle(own)
         return None
 
     def answer(self, payload: bytes) -> None:
         """Publish the drive payload of the tick whose sense payload was taken last."""
         self._incoming.skip()
         self.counters.sent += 1
-        self._endpoint.put_all(((self._outgoing.single, payload),))
+        self._outgoing.single.put(payload)
 
     def gather_again(self, payload: bytes) -> None:
         """Hand a payload back, for ``gather`` to find."""
+        self._plain_end = 0
         self._inbox.handle((Received(self._only_key, payload),))
 
     def _is_plain(self, tick: int) -> bool:
-        """Whether a tick needs no more than its payload, as far as is known before it."""
+        """Whether a tick needs no more than its payload, as far as is known before it.
+
+        So it is for all ticks before ``_plain_end``, until something is handled, or observers are looked for.
+        """
         control = self._control
-        return (
+        is_plain = (
             self._known_changes == self._membership.changes
             and tick + 1 < self._next_death
             and self._silence_s is None
@@ -403,9 +428,11 @@ class Participant:
             and not control.rejoins_offered
             and control.snapshot_tick <= tick
             and not control.has_faults
-            and self._registers.idle
+            and self._registers.is_idle()
             and self._incoming.untouched(tick)
         )
+        self._plain_end = self._next_death - 1 if is_plain else 0
+        return is_plain
 
     def publish_snapshot(self, tick: int, read: Callable[[], bytes]) -> None:
         """Publish the shard's snapshot before ``tick`` if the plant requested one, with the messages under way to it.
@@ -431,14 +458,20 @@ class Participant:
         """
         self._registers.publish(tick, read)
 
+    def read_registers_by(self, read: Callable[[], Own]) -> None:
+        """Have ``read`` return the registers for an observer that asks before a tick has published any."""
+        self._registers.read = read
+
     # --- who takes part -------------------------------------------------------------------------
 
     def schedule_death(self, cells: Iterable[int], tick: int) -> None:
         """Schedule the permanent death of ``cells`` (indices in the lattice) at ``tick``."""
+        self._plain_end = 0
         self._membership.schedule_death(cells, tick)
 
     def mark_dead(self, cells: Iterable[int], tick: int) -> None:
         """Mark ``cells`` (indices in the lattice) as dead from ``tick`` on; their process may rejoin."""
+        self._plain_end = 0
         self._membership.mark_dead(cells, tick)
 
     @property

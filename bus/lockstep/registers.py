@@ -204,6 +204,10 @@ class RegisterPublisher:
         wanted: Requests of the plant.
         counts: Counters to update.
         clock: Monotonic wall seconds.
+
+    Attributes:
+        read: Returns the registers, for observers that ask before a tick has published any.
+        next_look: Wall seconds by ``clock`` from which ``is_idle`` looks for observers again.
     """
 
     def __init__(
@@ -217,13 +221,14 @@ class RegisterPublisher:
         self.requests = tuple(wanted)
         self._counts = counts
         self._clock = clock
-        self._next_poll = 0.0
-        self._read: Callable[[], Own] | None = None
+        self.next_look = 0.0
+        self._observed = False
+        """Whether an observer was found and has not been shown the registers since."""
+        self.read: Callable[[], Own] | None = None
 
-    @property
-    def idle(self) -> bool:
-        """Whether ``publish`` has nothing to do: nothing is requested, and it is not time to look for observers."""
-        return not self.requests and self._clock() < self._next_poll
+    def is_idle(self) -> bool:
+        """Return whether ``publish`` has nothing to do: neither the plant nor an observer requests registers."""
+        return not self.requests and not self._is_observed()
 
     def publish(self, tick: int, read: Callable[[], Own]) -> None:
         """Publish the registers after ``tick`` if the plant or another observer requests them.
@@ -232,9 +237,10 @@ class RegisterPublisher:
             tick: The tick just computed.
             read: Returns the registers; called only if they are requested.
         """
-        self._read = read
+        self.read = read
         wanted = requested_at(self.requests, tick) if self.requests else None
-        if (wanted is None or wanted.names is not None) and self._watched():
+        if (wanted is None or wanted.names is not None) and self._is_observed():
+            self._observed = False
             wanted = RegisterRequest(1)
         if wanted is None:
             return
@@ -246,17 +252,17 @@ class RegisterPublisher:
 
     def show(self, tick: int) -> None:
         """Publish the registers after ``tick``, the last tick, once more if they have an observer; not counted."""
-        if self._read is not None and self.publisher.matched():
-            cells, registers = self._read()
+        if self.read is not None and tick >= 0 and self.publisher.matched():
+            cells, registers = self.read()
             self.publisher.put(encode_registers(RegisterFrame(tick, cells, encodable(registers))))
 
-    def _watched(self) -> bool:
-        """Whether the registers have an observer; checked a few times a second."""
+    def _is_observed(self) -> bool:
+        """Return whether the registers are to be shown to an observer, looked for a few times a second."""
         now = self._clock()
-        if now < self._next_poll:
-            return False
-        self._next_poll = now + _SHOW_S
-        return self.publisher.matched()
+        if now >= self.next_look:
+            self.next_look = now + _SHOW_S
+            self._observed = self.publisher.matched()
+        return self._observed
 
 
 @final

@@ -70,6 +70,8 @@ class InboundFrames:
         self._link_ticks = wiring.latency.link_ticks
         self._first_read = self._link_ticks
         """First tick in which messages are read: nobody has sent the shard anything before its first tick."""
+        self._first_whole = 0
+        """First tick whose senses bring no messages that were sent before the shard's first tick."""
         self._recalled: dict[int, LinkFrame] = {}
         self.parts_read = 0
         self._senses = FrameAssembler("sense", form.blank_senses, form.decode_sense, counts)
@@ -132,10 +134,9 @@ class InboundFrames:
         """Last tick of which senses have come, for dead cells too."""
         return self._senses.newest
 
-    @property
-    def single_layouts(self) -> tuple[PayloadLayout, PayloadLayout] | None:
-        """Layouts of the shard's only payload each way in a tick; None if there are others."""
-        return self._form.layouts
+    def single_layouts(self, tick: int) -> tuple[PayloadLayout, PayloadLayout] | None:
+        """Return the layouts of the shard's only payload each way in a tick; None if there are others."""
+        return self._form.layouts(tick)
 
     @property
     def single_key(self) -> str:
@@ -143,8 +144,8 @@ class InboundFrames:
         return next(iter(self._form.sense_units))
 
     def untouched(self, tick: int) -> bool:
-        """Whether nothing of ``tick`` or later has arrived, and messages are read in it."""
-        return tick == self._senses.now and tick >= self._first_read and self._senses.untouched
+        """Whether nothing of ``tick`` or later has arrived, and all messages that come with it are to be read."""
+        return tick == self._senses.now and tick >= self._first_whole and self._senses.untouched
 
     def skip(self) -> None:
         """Close a tick whose only payload the caller has received by itself."""
@@ -193,7 +194,7 @@ class InboundFrames:
 
     def enter(self, tick: int) -> None:
         """Start at ``tick``: no neighbour sends the shard anything that was sent before."""
-        self._first_read = tick + self._link_ticks
+        self._first_read = self._first_whole = tick + self._link_ticks
         self._senses.start_at(tick)
         self._links.start_at(tick)
 

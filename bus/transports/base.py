@@ -128,6 +128,19 @@ class Endpoint(ABC):
                 payloads of ``"wake"`` subscriptions then need not. None: the wait is that of ``receive``.
         """
 
+    def receive_payload(self, key: str) -> bytes | None:
+        """Wait for an event, and return the payload of ``key`` if nothing else is there.
+
+        Returns:
+            The payload, where further ones of ``key`` may be left for later calls; None: whatever came is left for
+            ``receive_all``.
+        """
+        events = self.receive_all(None)
+        if len(events) == 1 and type(event := events[0]) is Received and event.key == key:
+            return event.payload
+        self._rest = events
+        return None
+
     @abstractmethod
     def wake(self) -> None:
         """Put one ``Wakeup`` in the inbox: a blocked ``receive`` returns. Safe in a signal handler."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import accumulate
 from typing import Any, Final, cast, final
 
@@ -45,12 +45,20 @@ class PayloadLayout:
 
     Attributes:
         constant: The payload with zeros in the place of values.
-        places: For each field and ``tick``, its first byte and number of bytes.
+        places: For ``tick`` and each field, in order, its first byte and number of bytes. The tick's highest byte is
+            the first.
+        bits: Number of booleans of each field that has eight in a byte, the first in the lowest bit.
+        end_tick: First tick whose payloads have another layout.
     """
 
     constant: bytes
     places: Mapping[str, tuple[int, int]]
+    bits: Mapping[str, int] = field(default_factory=dict[str, int])
+    end_tick: int = TICK_LIMIT
 
+
+Layouts = Callable[[int], tuple[PayloadLayout, PayloadLayout] | None]
+"""From a tick to the layouts of a side's only incoming payload and of its only outgoing one; None: there are others."""
 
 Decode = Callable[[int, bytes], tuple[int, Any]]
 """From the part of a frame and any payload to its tick and value, or WireError."""

@@ -199,8 +199,6 @@ class ParticipantCodec(ABC):
         relays: Whether senses and drives bring the messages, which then have no parts.
         out_keys: Key of each part that the shard sends, in the order of its outgoing links.
         out_sources, out_targets: Cells of the units that send and receive each part.
-        layouts: Layouts of the only payload that arrives and of the only one that is sent in a tick; None where there
-            are several, or of several layouts.
     """
 
     alive_keys: tuple[str, ...]
@@ -219,7 +217,13 @@ class ParticipantCodec(ABC):
     out_keys: tuple[str, ...]
     out_sources: tuple[Index, ...]
     out_targets: tuple[Index, ...]
-    layouts: tuple[PayloadLayout, PayloadLayout] | None = None
+
+    def layouts(self, tick: int) -> tuple[PayloadLayout, PayloadLayout] | None:  # noqa: ARG002
+        """Return the layouts of the only payload that arrives and of the only one that is sent in a tick.
+
+        None where there are several payloads, or values without fixed positions.
+        """
+        return None
 
     @abstractmethod
     def join_senses(self, values: list[Any]) -> Senses:

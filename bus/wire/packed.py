@@ -13,6 +13,7 @@ from bus.partition import Index
 from bus.sensors import SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
+from bus.wire.fixed_layout import PayloadLayout
 from bus.wire.format import RelayedLinks, RunSchema, Senses, as_slice
 from bus.wire.keys import shard_link_key
 from bus.wire.per_shard import PerShardCoordinator, PerShardParticipant
@@ -23,6 +24,8 @@ FEW: Final = 1 << 15
 """Bytes up to which copying costs less than taking a payload apart here."""
 _INTEGER: Final = 9
 """Most bytes of an integer in MessagePack."""
+_TICK_ENDS: Final = {1: 1 << 7, 2: 1 << 8, 3: 1 << 16, 5: 1 << 32, 9: codec.TICK_LIMIT}
+"""First tick that takes more bytes in MessagePack, by the bytes of those below."""
 _NOT_MESSAGEPACK: Final = (ValueError, TypeError, OverflowError, msgpack.UnpackException)
 _unpackb = cast("Callable[[bytes], object]", cast("Any", msgpack).unpackb)
 
@@ -62,6 +65,24 @@ class BinaryLayout:
             self._pieces += (name, b"")
         self._pieces.pop()
         self._after_tick = sum(map(len, names)) + sum(self._sizes)
+        self._fields = [name for name, size in sizes.items() if size is not None]
+
+    def layout(self, tick: int, bits: Mapping[str, int]) -> PayloadLayout:
+        """Return the positions of the values in the payload of a tick.
+
+        Args:
+            tick: The tick.
+            bits: Number of booleans of each field that has eight in a byte.
+        """
+        packed = self._pack(tick)
+        width = max(len(packed) - 1, 1)
+        constant = self._head + packed[:-width] + bytes(width)
+        places = {"tick": (len(constant) - width, width)}
+        for name, size, text in zip(self._fields, self._sizes, self._names, strict=False):
+            constant += text
+            places[name] = (len(constant), size)
+            constant += bytes(size)
+        return PayloadLayout(constant + self._names[-1], places, bits, _TICK_ENDS[len(packed)])
 
     def write(self, tick: int, parts: Sequence[Part]) -> bytes:
         """Return a payload with these contents of the fields that are not nil."""
@@ -245,6 +266,14 @@ class PackedParticipant(PerShardParticipant):
         self.out_keys = tuple(shard_link_key(run, shard, b.shard) for b in outgoing)
         self.out_sources = tuple(cells for _ in outgoing)
         self.out_targets = tuple(partition.cells(b.shard) for b in outgoing)
+        self._single = not (incoming or outgoing or readings.levels or readings.labels or readings.camera)
+
+    def layouts(self, tick: int) -> tuple[PayloadLayout, PayloadLayout] | None:
+        """Return the layouts of a tick's senses and drives; None with borders, or other senses than kernels read."""
+        if not self._single:
+            return None
+        bits = {"presence": self._rows * self._readings.sensors}
+        return self._senses.layout(tick, bits), self._drive.layout(tick, {})
 
     def _decode_sense(self, unit: int, payload: bytes) -> tuple[int, Any]:  # noqa: ARG002 - one unit only
         """Tick, and what the cells sense."""

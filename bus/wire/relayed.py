@@ -22,7 +22,7 @@ from bus.partition import Index, Links
 from bus.sensors import CameraFrame, SensorSchema
 from bus.wire import frames as wire
 from bus.wire import msgpack_codec as codec
-from bus.wire.fixed_layout import Binary, Decode, FieldLayout, FixedLayoutCodec
+from bus.wire.fixed_layout import Binary, Decode, FieldLayout, FixedLayoutCodec, PayloadLayout
 from bus.wire.format import DriveBatch, RelayedLinks, RunSchema, Senses
 from bus.wire.message_type import boolean_places, bounded_lists, overlong
 from bus.wire.payload_batch import PayloadBatch
@@ -313,9 +313,14 @@ class RelayedParticipant(PerShardParticipant):
         )
         self._is_finite = _finite_check(len(cells))
         readings = wiring.readings
+        self._layouts: tuple[PayloadLayout, PayloadLayout] | None = None
         if not (readings.levels or readings.labels or readings.camera):
             sense = FixedLayoutCodec(_places(_sense_sizes(len(cells), incoming, readings, message)))
-            self.layouts = sense.layout(), self._drive.layout()
+            self._layouts = sense.layout(), self._drive.layout()
+
+    def layouts(self, tick: int) -> tuple[PayloadLayout, PayloadLayout] | None:  # noqa: ARG002
+        """Return the layouts of senses and drives, the same in all ticks; None with other senses than kernels read."""
+        return self._layouts
 
     def join_senses(self, values: list[Any]) -> Senses:
         """Return the senses of the single unit."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final
 
-from pydantic import Field, TypeAdapter
+from pydantic import ConfigDict, Field, TypeAdapter
 
 from cell_firmware.faults.kinds.babble import BabbleFault
 from cell_firmware.faults.kinds.hang import HangFault
@@ -46,4 +46,6 @@ CellOnlyFault = (
 
 AnyCellFault = CrashedCellFault | RemovedCellFault | CellOnlyFault
 
-CELL_FAULTS: Final[TypeAdapter[Any]] = TypeAdapter(Annotated[AnyCellFault, Field(discriminator="kind")])
+CELL_FAULTS: Final[TypeAdapter[Any]] = TypeAdapter(
+    Annotated[AnyCellFault, Field(discriminator="kind")], config=ConfigDict(defer_build=True)
+)

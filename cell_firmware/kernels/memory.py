@@ -48,3 +48,38 @@ def array_at(_context, _address, shape, kind):
         return array._getvalue()  # noqa: SLF001 - so are all of numba's structures read
 
     return array_type(types.int64, shape, kind), generate
+
+
+@intrinsic
+def copy_memory(_context, source, target):
+    """Copy as many bytes as ``target`` has from ``source``, which lies elsewhere.
+
+    A loop over bytes has to look whether they overlap; the compiler copies a few at a time only without.
+
+    Args:
+        source: Array in one piece.
+        target: Array in one piece, of no more bytes; is filled.
+    """
+
+    def generate(context, builder, signature, arguments):
+        there, here = (
+            context.make_array(kind)(context, builder, value)
+            for kind, value in zip(signature.args, arguments, strict=True)
+        )
+        cgutils.raw_memcpy(builder, here.data, there.data, here.nitems, here.itemsize)
+        return context.get_dummy_value()
+
+    return types.none(source, target), generate
+
+
+@intrinsic
+def clear_memory(_context, target):
+    """Make all bytes of an array in one piece zero."""
+
+    def generate(context, builder, signature, arguments):
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        size = builder.mul(array.nitems, array.itemsize)
+        cgutils.memset(builder, array.data, size, 0)
+        return context.get_dummy_value()
+
+    return types.none(target), generate

@@ -15,12 +15,15 @@ FIELD = np.dtype(
         ("truth", "<i8"),  # whether each byte must be 0 or 1
         ("numbers", "<i8"),  # whether it is of float64 that must be finite
         ("item", "<i8"),  # bytes of a message, for fields of messages; else 0
+        (
+            "bits",
+            "<i8",
+        ),  # booleans of the buffer, if they have a bit each, the first the lowest of a byte; else 0
     ]
 )
 """Place of a field in a payload, and its buffer."""
 
 BYTE = np.dtype(np.uint8)
-TICK_BYTES = 8
 
 
 @kernel
@@ -30,39 +33,69 @@ def is_finite(payload, start):
 
 
 @kernel
-def read_tick(payload, start):
+def read_tick(payload, start, size):
     """The unsigned integer at this place."""
     tick = np.int64(0)
-    for b in range(TICK_BYTES):
+    for b in range(size):
         tick = (tick << 8) | payload[start + b]
     return tick
 
 
+@kernel
+def is_same(payload, constant, begin, end):
+    """Whether the bytes from ``begin`` on, before ``end``, are the constant ones."""
+    for b in range(begin, end):
+        if payload[b] != constant[b]:
+            return False
+    return True
+
+
+@kernel
+def read_bits(payload, start, bits, buffer):
+    """Read booleans of a bit each; return whether all bits beyond the last are zero."""
+    whole = bits // 8
+    for k in range(whole):
+        byte = payload[start + k]
+        for b in range(8):
+            buffer[8 * k + b] = (byte >> b) & 1
+    if bits == 8 * whole:
+        return True
+    last = payload[start + whole]
+    for b in range(bits - 8 * whole):
+        buffer[8 * whole + b] = (last >> b) & 1
+    return last >> (bits - 8 * whole) == 0
+
+
 @entry(
-    INTEGER, read("u1", 1), read("u1", 1), read("u1", 1), INTEGER, read(FIELD, 1), read("i8", 1),
+    INTEGER, read("u1", 1), read("u1", 1), INTEGER, INTEGER, read(FIELD, 1), read("i8", 1),
 )  # fmt: skip
-def read_payload(tick, payload, constant, is_constant, tick_at, fields, booleans):
+def read_payload(tick, payload, constant, tick_at, tick_bytes, fields, booleans):
     """Read the values of a payload into their buffers.
 
     Args:
         tick: Of the payload.
-        payload: ``(size,)``, all as long as ``constant``.
-        constant: ``(size,)``, the constant bytes.
-        is_constant: ``(size,)``, 1 where a byte is constant.
-        tick_at: First byte of the tick, of 8 bytes, the highest first.
-        fields: ``(f,)`` of ``FIELD``.
+        payload: ``(size,)``.
+        constant: ``(size,)``, the payload with anything in the place of values.
+        tick_at: First byte of the tick, the highest.
+        tick_bytes: Bytes of the tick.
+        fields: ``(f,)`` of ``FIELD``, in the order of the payload, all after the tick.
         booleans: ``(b,)``, places in a message of bytes that must be 0 or 1.
 
     Returns:
         Whether it is a payload of the tick with valid values; if not, buffers may have been written to.
     """
-    for b in range(len(constant)):
-        if is_constant[b] and payload[b] != constant[b]:
-            return False
-    if read_tick(payload, tick_at) != tick:
+    begin = tick_at + tick_bytes
+    if not is_same(payload, constant, 0, tick_at) or read_tick(payload, tick_at, tick_bytes) != tick:
         return False
     for f in range(len(fields)):
         field = fields[f]
+        if not is_same(payload, constant, begin, field.start):
+            return False
+        begin = field.start + field.size
+        if field.bits:
+            if not read_bits(payload, field.start, field.bits, array_at(field.buffer, field.bits, BYTE)):
+                return False
+            continue
         buffer = array_at(field.buffer, field.size, BYTE)
         for b in range(field.size):
             buffer[b] = payload[field.start + b]
@@ -79,21 +112,22 @@ def read_payload(tick, payload, constant, is_constant, tick_at, fields, booleans
                 for k in range(len(booleans)):
                     if buffer[start + booleans[k]] > 1:
                         return False
-    return True
+    return is_same(payload, constant, begin, len(constant))
 
 
-@entry(INTEGER, INTEGER, read(FIELD, 1), written("u1", 1))
-def write_payload(tick, tick_at, fields, payload):
+@entry(INTEGER, INTEGER, INTEGER, read(FIELD, 1), written("u1", 1))
+def write_payload(tick, tick_at, tick_bytes, fields, payload):
     """Write a tick and the values of the buffers into a payload.
 
     Args:
         tick: Of the payload.
-        tick_at: As of ``read_payload``.
-        fields: ``(f,)`` of ``FIELD``.
+        tick_at: First byte of the tick, the highest.
+        tick_bytes: Bytes of the tick.
+        fields: ``(f,)`` of ``FIELD``; none has bits.
         payload: ``(size,)`` with the constant bytes; its values are filled.
     """
-    for b in range(TICK_BYTES):
-        payload[tick_at + b] = (tick >> (8 * (TICK_BYTES - 1 - b))) & 255
+    for b in range(tick_bytes):
+        payload[tick_at + b] = (tick >> (8 * (tick_bytes - 1 - b))) & 255
     for f in range(len(fields)):
         field = fields[f]
         buffer = array_at(field.buffer, field.size, BYTE)

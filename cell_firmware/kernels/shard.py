@@ -18,8 +18,7 @@ from cell_firmware.kernels.clock import CLOCK, count_before, due
 from cell_firmware.kernels.debounce import debounced
 from cell_firmware.kernels.draws import draw_cell
 from cell_firmware.kernels.jit import INTEGER, entry, kernel, read, written
-from cell_firmware.kernels.memory import array_at
-from cell_firmware.kernels.messages import clear, copy
+from cell_firmware.kernels.memory import array_at, clear_memory, copy_memory
 from cell_firmware.kernels.program import inputs_type, outputs_type
 from cell_firmware.kernels.speed_loop import LOOP, WHEELS
 from cell_firmware.kernels.values import (
@@ -206,12 +205,12 @@ def collect_cell(row, source, sent, outbox, border_received, border, received, m
         received[side] = False
         if slot >= 0 and sent[slot]:
             received[side] = True
-            copy(outbox[slot], message[side])
+            copy_memory(outbox[slot], message[side])
         elif slot < -1 and border_received[-2 - slot]:
             received[side] = True
-            copy(border[-2 - slot], message[side])
+            copy_memory(border[-2 - slot], message[side])
         else:
-            clear(message[side])
+            clear_memory(message[side])
 
 
 @kernel
@@ -221,9 +220,9 @@ def leave_shard(sent, outbox, border_from, border_sent, border):
         row, side = border_from[link] // 4, border_from[link] % 4
         border_sent[link] = sent[row, side]
         if sent[row, side]:
-            copy(outbox[row, side], border[link])
+            copy_memory(outbox[row, side], border[link])
         else:
-            clear(border[link])
+            clear_memory(border[link])
 
 
 def run_tick(tick, shards):
@@ -301,7 +300,7 @@ def run_tick(tick, shards):
             collect_cell(row, source, sent, lined, border_received, lined_border, line_received, line)
             for side in range(4):
                 received[side] = False
-                clear(message[side])
+                clear_memory(message[side])
         elif s.messages:
             collect_cell(row, source, sent, whole, border_received, whole_border, received, message)
         at_ns, runs, _ = begin_cell(
@@ -310,7 +309,7 @@ def run_tick(tick, shards):
         )  # fmt: skip
         for side in range(4):
             says[side] = False
-            clear(draft_bits[side])
+            clear_memory(draft_bits[side])
         wanted = outputs.speed_m_s
         wanted[0] = wanted[1] = 0.0
         outputs.served = 1
@@ -340,17 +339,17 @@ def run_tick(tick, shards):
         if s.messages:
             for side in range(4):
                 if not says[side]:
-                    clear(said[side])
+                    clear_memory(said[side])
                 elif not WHOLE_DRAFT:  # a constant to the compiler
                     round_draft(VALUES, draft[side], draft_bits[side], said[side])
         if k.lines:
             for side in range(4):
                 sent_next[row, side] = False
-                clear(lined_next[row, side])
+                clear_memory(lined_next[row, side])
         elif s.messages:
             for side in range(4):
                 sent_next[row, side] = says[side]
-                copy(said[side], whole_next[row, side])
+                copy_memory(said[side], whole_next[row, side])
         end_cell(
             k, link, loop, i, tick, clocks, watches, wheels, cells, meters, waiting, going,
             at_ns, runs, received, wanted, failed[i], outputs.served != 0, says, said, encoder_m[row],

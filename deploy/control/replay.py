@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from pydantic import TypeAdapter
+from pydantic import ConfigDict, TypeAdapter
 
 from bus.fault import decode_fault
 from deploy.errors import InputError
@@ -25,7 +25,7 @@ FOUND: Final = ("disconnected", "timed_out")
 """Losses that don't recur independently when the run is repeated."""
 _FIRST_NUMBER: Final = 1_000_000
 """Number of the first fault that stands for losses, above the numbers of scheduled and live faults."""
-_FAULTS: Final[TypeAdapter[Any]] = TypeAdapter(Fault)
+_FAULTS: Final[TypeAdapter[Any]] = TypeAdapter(Fault, config=ConfigDict(defer_build=True))
 
 
 def commands_of(recording: Recording, scene: Scene) -> tuple[Mapping[str, Any], ...]:

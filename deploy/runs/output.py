@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-import threading
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +27,6 @@ if TYPE_CHECKING:
     from deploy.scenes.scene import Scene
     from plant.array import CellArray
     from plant.plant import Plant
-
-
-_DRAWN_WITH: Final = ("matplotlib.figure", "matplotlib.backends.backend_agg")
 
 
 def run_name(scene: Scene, suffix: str) -> str:
@@ -121,23 +116,6 @@ def write_or_fail(
         with suppress(DeployError):
             summary.write(folder)
     return summary
-
-
-@contextmanager
-def plots_imported_ahead() -> Generator[None]:
-    """Import the library of plots in a thread meanwhile: where this one waits for processes, that takes no time."""
-
-    def load() -> None:
-        with suppress(Exception):  # raised again where a plot is drawn
-            for name in _DRAWN_WITH:
-                import_module(name)
-
-    thread = threading.Thread(target=load, name="plots")
-    thread.start()
-    try:
-        yield
-    finally:
-        thread.join()
 
 
 def draw_run_overview(

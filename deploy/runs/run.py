@@ -21,8 +21,6 @@ from deploy.recordings.writer import Recorder
 from deploy.runs.output import (
     default_run,
     draw_or_interrupt,
-    draw_run_overview,
-    plots_imported_ahead,
     recording_header,
     write_or_fail,
 )
@@ -43,6 +41,7 @@ if TYPE_CHECKING:
     from deploy.checkpoints.checkpointer import CheckpointMetadata
     from deploy.protocol_report.report import ProtocolReport
     from deploy.runs.checking import RunChecker
+    from deploy.runs.picture_process import PictureProcess
     from deploy.scenes.scene import Scene
     from deploy.workers.plan import Plan
     from plant.plant import Plant
@@ -134,13 +133,15 @@ class _Run:
         self.about: CheckpointMetadata | None = None
         self.result: RunResult
         self.checker: RunChecker | None = None
+        self.picture: PictureProcess | None = None
 
     def go(self) -> Outcome:
         """Run, and write all outputs; see `run`."""
         setup = self.setup
         for line in setup.warnings:
             self._warn(f"warning: {line}")
-        with ExitStack() as ahead, System(setup.plan, setup.scene, setup.options) as system:
+        with System(setup.plan, setup.scene, setup.options) as system:
+            self._start_drawing()
             with self.interruption.interruptible():
                 plant = load_plant(setup.scene, self._warn)
                 self.about = checkpoint_metadata(
@@ -151,8 +152,6 @@ class _Run:
                     setup.resumed,
                     live=setup.byte_accurate_links,
                 )
-            if setup.options.picture and setup.options.realtime is None:
-                ahead.enter_context(plots_imported_ahead())
             system.open(self.interruption.raise_if_requested)
             if setup.plan.external and setup.options.cluster is None:
                 self._warn(joining(setup.plan, setup.scene, system.join))
@@ -259,12 +258,25 @@ class _Run:
             CheckpointStore(folder).clear()
         return summary
 
+    def _start_drawing(self) -> None:
+        """Start the process that draws the overview; with ``--realtime`` it would take time from the run."""
+        options = self.setup.options
+        if options.picture and options.realtime is None and self.setup.plan.workers:
+            from deploy.runs.picture_process import PictureProcess
+
+            self.picture = self.locked.enter_context(PictureProcess())
+
     def _illustrate(self, summary: Summary, folder: Path) -> Summary:
         if not self.setup.options.picture or summary.status == "interrupted":
             return summary
+        from deploy.plots.overview import FILE_NAME, draw_overview
         from deploy.recordings.reader import load
 
-        return draw_run_overview(summary, lambda: load(folder), folder, self.interruption)
+        def draw() -> None:
+            if self.picture is None or not self.picture.draw(folder):
+                draw_overview(load(folder), folder / FILE_NAME)
+
+        return draw_or_interrupt(summary, draw, folder, self.interruption)
 
     def _report(self, run_log: RunLog) -> ProtocolReport | None:
         """Return the protocol report; None without a reporter."""

@@ -54,6 +54,7 @@ def main(channel_fd: int, report_fd: int, preload: Iterable[str]) -> None:
         importlib.import_module(name)
     gc.freeze()
     _ForkServer(Connection(channel_fd), report_fd).serve()
+    os._exit(0)  # the main process waits for this end
 
 
 @final

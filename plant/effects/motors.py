@@ -195,24 +195,25 @@ class Motors:
             first, begun_s = np.empty_like(volts), np.empty_like(volts)
             if self._entry.delayed(volts, before, _whole(acts_s), first, begun_s):
                 return self._over(first, volts, begun_s, span_s, slowing)
-        steady, decay, stops = self._set_off(self._speed, volts, 0.0, span_s)
-        return WheelRun(WheelMotion(steady, decay, self._rate, slowing), _changes(stops))
+        steady, decay, stops = self._set_off(self._speed, volts, span_s)
+        return WheelRun(WheelMotion(steady, decay, self._rate, slowing), stops)
 
     def _over(
         self, first: Floats, volts: Floats, acts_s: Floats, span_s: float, slowing: Floats | None
     ) -> WheelRun:
         """Wheels that go over from the voltages ``first`` to others at ``acts_s`` ``(n, 2)``, infinite where not."""
-        steady, decay, rows = self._set_off(self._speed, first, 0.0, np.minimum(acts_s, span_s))
+        n, tau = len(volts), self._motor.time_constant_s
+        steady, decay = np.empty_like(volts), np.empty_like(volts)
+        changes = WheelChanges(np.empty((3, n, 2)), np.empty((3, n, 2)), np.empty((3, n, 2)))
+        rows = self._entry.go_over(
+            _whole(self._speed), first, volts, acts_s, span_s, self._law, tau, steady, decay, *changes
+        )
         motion = WheelMotion(steady, decay, self._rate, slowing)
-        speed = WheelRun(motion, _changes(rows)).speed(np.where(np.isfinite(acts_s), acts_s, 0.0))
-        steady, decay, stops = self._set_off(speed, volts, acts_s, span_s)
-        rows.append(WheelChanges(acts_s, steady, decay))
-        rows += stops
-        return WheelRun(motion, _changes(rows))
+        return WheelRun(motion, WheelChanges(*(part[:rows] for part in changes)))
 
     def _set_off(
-        self, speed: Floats, volts: Floats, begun_s: Floats | float, end_s: Floats | float
-    ) -> tuple[Floats, Floats, list[WheelChanges]]:
+        self, speed: Floats, volts: Floats, end_s: float
+    ) -> tuple[Floats, Floats, WheelChanges | None]:
         """The motion (steady, decay) of wheels at a speed under voltages, and how those go on that stop.
 
         Those that stop before ``end_s`` stand, or turn round. From V towards s on the other side of zero it takes
@@ -220,35 +221,47 @@ class Motors:
         """
         steady, decay, log_ratio = np.empty_like(volts), np.empty_like(volts), np.empty_like(volts)
         if not self._entry.set_off(_whole(speed), volts, self._law, steady, decay, log_ratio):
-            return steady, decay, []
-        after_s = begun_s + self._motor.time_constant_s * log_ratio
+            return steady, decay, None
+        after_s = self._motor.time_constant_s * log_ratio
         stops = after_s < end_s
         if not stops.any():
-            return steady, decay, []
-        stood = WheelChanges(np.where(stops, after_s, np.inf), np.empty_like(volts), np.empty_like(volts))
-        self._entry.stand(volts, self._law, stood.steady, stood.decay)
-        return steady, decay, [stood]
+            return steady, decay, None
+        stood = WheelChanges(*(np.empty((1, *volts.shape)) for _ in WheelChanges._fields))
+        stood.after_s[0] = np.where(stops, after_s, np.inf)
+        self._entry.stand(volts, self._law, stood.steady[0], stood.decay[0])
+        return steady, decay, stood
 
     def elapse(self, run: WheelRun, span_s: float, reads_s: Floats | None = None) -> Floats | None:
         """Take speed and travel ``span_s`` seconds along ``run``; see ``plant.wheels.Wheels``."""
         motion, begun, passed = run.motion, self._travel, None
-        if run.changes is None:
+        if run.changes is not None:
+            passed, travel, self._speed = self._pass_changes(run, span_s, reads_s)
+            self._travel = begun + travel
+        else:
+            if reads_s is not None:
+                passed, _, _ = self._pass_changes(run, span_s, reads_s)
             left = math.exp(-motion.rate * span_s)
             covered = -math.expm1(-motion.rate * span_s) / motion.rate
             self._travel, self._speed = np.empty_like(begun), np.empty_like(begun)
             self._entry.elapse(
                 motion.steady, motion.decay, _whole(begun), span_s, covered, left, self._travel, self._speed
             )
-            passed = None if reads_s is None else begun + run.travel(reads_s)
-        elif reads_s is None:
-            self._travel, self._speed = begun + run.travel(span_s), run.speed(span_s)
-        else:
-            passed, self._travel = begun + run.travel(np.stack([reads_s, np.full_like(reads_s, span_s)]))
-            self._speed = run.speed(span_s)
         if motion.slowing is not None:
             self._speed += motion.slowing[:, :2]
             self._travel = self._travel + motion.slowing[:, 2:]
-        return passed
+        return None if passed is None or reads_s is None else begun + passed
+
+    def _pass_changes(
+        self, run: WheelRun, span_s: float, reads_s: Floats | None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Way until the cells read, way until ``span_s``, and speed then, ``(n, 2)`` each."""
+        motion, found = run.motion, [np.empty_like(self._travel) for _ in range(3)]
+        changes = (np.empty((0, *self._travel.shape)),) * 3 if run.changes is None else run.changes
+        self._entry.pass_changes(
+            _whole(motion.steady), _whole(motion.decay), motion.rate, *map(_whole, changes),
+            np.zeros(len(self._travel)) if reads_s is None else _whole(reads_s), span_s, *found,
+        )  # fmt: skip
+        return found[0], found[1], found[2]
 
     @property
     def speed(self) -> Floats:
@@ -263,15 +276,9 @@ class Motors:
 
 def _whole(array: Floats) -> Floats:
     """Return an array in one piece and aligned, as kernels take it: the array itself if it is."""
+    flags = array.flags
+    if (
+        flags.c_contiguous and flags.aligned and array.dtype == np.float64
+    ):  # ``require`` alone takes ten times as long
+        return array
     return np.require(array, np.float64, ("C", "A"))
-
-
-def _changes(rows: list[WheelChanges]) -> WheelChanges | None:
-    """Put wheel changes together; None of an empty list."""
-    if not rows:
-        return None
-    together = WheelChanges(*(np.empty((len(rows), *part.shape)) for part in rows[0]))
-    for k, row in enumerate(rows):
-        for whole, part in zip(together, row, strict=True):
-            whole[k] = part
-    return together

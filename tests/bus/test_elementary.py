@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,11 +31,17 @@ def test_an_exponential_beyond_all_numbers_is_infinite() -> None:
 
 
 def test_compiled_kernels_call_the_same_library() -> None:
-    from plant.wheels import _exp, _expm1  # pyright: ignore[reportPrivateUsage]
+    from plant.kernels.wheels import entry
 
-    x = np.linspace(-40.0, 5.0, 3_000).reshape(-1, 2)
-    assert _exp(x).tolist() == elementary.exp(x).tolist()
-    assert _expm1(x).tolist() == elementary.expm1(x).tolist()
+    kernels: Any = entry
+    x = np.linspace(-40.0, 5.0, 3_000)
+    found = np.empty_like(x)
+    kernels.exp_of_each(x, found)
+    assert found.tolist() == elementary.exp(x).tolist()
+    # the way of wheels that slow down from -1 m/s at 1/s
+    still, changes, way = np.zeros((len(x), 2)), np.empty((0, len(x), 2)), np.empty((3, len(x), 2))
+    kernels.pass_changes(still, still - 1.0, 1.0, changes, changes, changes, -x, 0.0, *way)
+    assert way[0, :, 0].tolist() == elementary.expm1(x).tolist()
 
 
 def test_hosts_with_other_functions_have_another_fingerprint() -> None:

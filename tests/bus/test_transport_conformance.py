@@ -272,6 +272,40 @@ def test_receive_takes_one_at_a_time_and_leaves_the_rest(network: Network) -> No
     ]
 
 
+def test_a_payload_that_comes_alone_is_received_without_its_event(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    cell.subscribe("t/a")
+    publisher = plant.publisher("t/a")
+    settle(publisher, cell)
+    for payload in (b"1", b"", b"\x00" * 70_000):
+        publisher.put(payload)
+        assert cell.receive_payload("t/a") == payload
+    publisher.put(b"2")
+    assert cell.receive_payload("t/b") is None
+    assert cell.receive_all(0.0) == [Received("t/a", b"2")]
+
+
+def test_a_payload_that_does_not_come_alone_is_left_with_the_others(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    cell.subscribe("t/a")
+    cell.subscribe("t/urgent", "urgent")
+    publisher, urgent = plant.publisher("t/a"), plant.publisher("t/urgent")
+    for one in (publisher, urgent):
+        settle(one, cell)
+    publisher.put(b"1")
+    urgent.put(b"now")
+    found = list[Event]()
+    while len(found) < 2:
+        payload = cell.receive_payload("t/a")  # alone, if the urgent one is still under way
+        found += cell.receive_all(0.0) if payload is None else [Received("t/a", payload)]
+    assert found == [Received("t/a", b"1"), Received("t/urgent", b"now")]
+    cell.wake()
+    assert cell.receive_payload("t/a") is None
+    assert cell.receive_all(0.0) == [Wakeup()]
+    publisher.put(b"2")
+    assert cell.receive_payload("t/a") == b"2"
+
+
 def test_closing_twice_is_harmless_and_a_closed_endpoint_says_so(network: Network) -> None:
     endpoint = network.endpoint()
     publisher = endpoint.publisher("t/a")

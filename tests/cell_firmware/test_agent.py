@@ -333,20 +333,28 @@ async def test_another_event_loop_is_refused(silent: tuple[MemoryEndpoint, Shard
         await agent.run(shard, member)
 
 
+@pytest.mark.parametrize("by_payload", [False, True])
 def test_an_error_of_the_step_itself_fails_all_cells_of_the_shard(
-    grid: Callable[..., Lattice], system: Callable[..., System]
+    by_payload: bool, grid: Callable[..., Lattice], system: Callable[..., System]
 ):
     """Not firmware's failure but our own: a shard that was stepped already."""
     running: System
-    made: list[Shard] = []
     original = Shard.step
+    by_payloads = Shard.step_payload
 
     def step(self: Shard, tick: int, *arguments: Any, **named: Any) -> Any:
-        made.append(self)
         return original(self, tick + (tick == 2), *arguments, **named)
+
+    def step_payload(self: Shard, codec: Any, tick: int, payload: bytes) -> Any:
+        if not by_payload:
+            return None
+        if tick == 2:
+            raise AssertionError("this is a bug: a shard was given tick 3 after tick 1")
+        return by_payloads(self, codec, tick, payload)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Shard, "step", step)
+        patch.setattr(Shard, "step_payload", step_payload)
         running = system(HEAT, Partition.even(grid(1, 1), 1))
         running.run(2)
         presence = np.zeros((1, 1), dtype=np.bool_)

@@ -39,9 +39,8 @@ class Side:
         schema = RunSchema("r", partition, SensorSchema(SENSORS, encoders=encoders), MESSAGE)
         self.host = FORMATS["relayed"].coordinator(schema)
         self.member = FORMATS["relayed"].participant(schema, 0)
-        assert self.member.layouts is not None
         self.buffers = TickBuffers.of(ShardLinks.of(partition, 0), MESSAGE, SENSORS)
-        self.codec = PayloadCodec(*self.member.layouts, self.buffers)
+        self.codec = PayloadCodec(self.member.layouts, self.buffers)
         self.draw = np.random.default_rng(3)
         self.encoders = encoders
         self.links = sum(len(partition.incoming(shard)) for shard in range(2))
@@ -83,8 +82,9 @@ def test_drives_are_written_as_by_the_wire_format() -> None:
 
 
 def _place(side: Side, name: str) -> int:
-    assert side.member.layouts is not None
-    return side.member.layouts[0].places[name][0]
+    layouts = side.member.layouts(TICK)
+    assert layouts is not None
+    return layouts[0].places[name][0]
 
 
 NOT_FINITE = [float("nan"), float("inf"), -float("inf")]
@@ -125,10 +125,73 @@ def test_a_payload_in_another_layout_is_not_read() -> None:
     assert not side.codec.read(TICK, payload + b"\x00")
     assert not side.codec.read(TICK, b"")
     values: set[int] = set()
-    assert side.member.layouts is not None
-    for start, size in side.member.layouts[0].places.values():
+    layouts = side.member.layouts(TICK)
+    assert layouts is not None
+    for start, size in layouts[0].places.values():
         values.update(range(start, start + size))
     for k in sorted(set(range(len(payload))) - values):
         other: Any = bytearray(payload)
         other[k] ^= 1
         assert not side.codec.read(TICK, bytes(other)), k
+
+
+TICKS = (0, 1, 127, 128, 255, 256, 65_535, 65_536, 2**32 - 1, 2**32, 2**40 + 5)
+"""Ticks before and after each at which MessagePack takes another byte."""
+
+
+class PackedSide:
+    """The payloads of a packed run of one shard, and the codec of that shard."""
+
+    def __init__(self, rows: int, *, encoders: bool) -> None:
+        partition = Partition.even(grid(rows, 3), 1)
+        schema = RunSchema("r", partition, SensorSchema(SENSORS, encoders=encoders), MESSAGE)
+        self.host = FORMATS["packed"].coordinator(schema)
+        self.member = FORMATS["packed"].participant(schema, 0)
+        self.buffers = TickBuffers.of(ShardLinks.of(partition, 0), MESSAGE, SENSORS)
+        self.codec = PayloadCodec(self.member.layouts, self.buffers)
+        self.draw, self.cells, self.encoders = np.random.default_rng(5), 3 * rows, encoders
+
+    def payload(self, tick: int) -> bytes:
+        """Senses of a tick."""
+        travel = self.draw.normal(size=(self.cells, 2)) if self.encoders else None
+        frame = SenseFrame(tick, self.draw.random((self.cells, SENSORS)) < 0.5, travel)
+        return self.host.sense_payloads(frame)[0]
+
+
+@pytest.mark.parametrize(("rows", "encoders"), [(1, True), (3, False), (4, True), (800, True)])
+def test_packed_payloads_are_read_and_written_as_by_the_wire_format(rows: int, encoders: bool) -> None:
+    side = PackedSide(rows, encoders=encoders)
+    for tick in TICKS:
+        payload = side.payload(tick)
+        assert side.codec.read(tick, payload)
+        found, sensed = side.member.decode_sense(0, payload)
+        senses = side.member.join_senses([sensed])
+        assert (found, side.buffers.presence.tobytes()) == (tick, senses.presence.tobytes())
+        if encoders:
+            assert side.buffers.encoder_m.tobytes() == senses.encoder_m.tobytes()
+        side.buffers.drive[...] = side.draw.normal(size=side.buffers.drive.shape)
+        assert [side.codec.write(tick)] == side.member.drive_payloads(DriveFrame(tick, side.buffers.drive))
+
+
+def test_packed_payloads_in_another_layout_are_not_read() -> None:
+    side = PackedSide(1, encoders=True)  # six bits: two beyond the last
+    payload = side.payload(TICK)
+    layouts = side.member.layouts(TICK)
+    assert layouts is not None
+    places = layouts[0].places
+    values = {k for start, size in places.values() for k in range(start, start + size)}
+    for k in [*sorted(set(range(len(payload))) - values), places["tick"][0]]:
+        other: Any = bytearray(payload)
+        other[k] ^= 1
+        assert not side.codec.read(TICK, bytes(other)), k
+    other = bytearray(payload)
+    other[places["presence"][0]] |= 0x40
+    assert not side.codec.read(TICK, bytes(other))
+
+
+def test_packed_payloads_of_shards_with_borders_are_left_to_the_wire_format() -> None:
+    partition = Partition.even(grid(2, 3), 2)
+    schema = RunSchema("r", partition, SensorSchema(SENSORS), MESSAGE)
+    assert FORMATS["packed"].participant(schema, 0).layouts(TICK) is None
+    mute = RunSchema("r", partition, SensorSchema(SENSORS), None)
+    assert FORMATS["packed"].participant(mute, 0).layouts(TICK) is not None

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, cast, final
 import zenoh
 
 from bus.errors import TransportError
-from bus.transports.base import Endpoint, Event, LivelinessChange, Publisher, Urgency, Wakeup
+from bus.transports.base import Endpoint, Event, LivelinessChange, Publisher, Received, Urgency, Wakeup
 from bus.transports.memory import check_overlap
 from bus.transports.zenoh.linger import LingerReset, tcp_ports
 from bus.transports.zenoh.receive import ReceiveQueue
@@ -77,7 +77,13 @@ class ZenohPublisher(Publisher):
 
     def put(self, payload: bytes) -> None:
         """Send ``payload`` to every subscriber of the key."""
-        self._endpoint.put_all(((self, payload),))
+        endpoint = self._endpoint
+        if endpoint.closed or endpoint.forks != _forks:
+            endpoint.check_usable()
+        try:
+            self.put_bytes(payload)
+        except zenoh.ZError as error:
+            raise TransportError(f"put: {first_line(error)}") from None
 
     def matched(self) -> bool:
         """Whether the key has a subscriber."""
@@ -95,6 +101,7 @@ class ZenohEndpoint(Endpoint):
         locator: Address where the plant listens.
         listening: Addresses that this session listens on, as Zenoh has them; none at a client.
         closed: Whether ``close`` was called.
+        forks: Forks of this process before the session was opened.
         session: The session, for what Zenoh has beyond an endpoint.
         refusals: Counter of denials; None without an access policy.
     """
@@ -114,7 +121,7 @@ class ZenohEndpoint(Endpoint):
         self.locator = locator
         self.session = session
         self._pid = os.getpid()
-        self._forks = _forks
+        self.forks = _forks
         self.closed = False
         self._mail = ReceiveQueue(session)
         _open_endpoints.add(self)
@@ -138,7 +145,7 @@ class ZenohEndpoint(Endpoint):
 
     def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
         """Put each payload with its publisher."""
-        if self.closed or self._forks != _forks:
+        if self.closed or self.forks != _forks:
             self.check_usable()
         try:
             for publisher, payload in cast("Iterable[tuple[ZenohPublisher, bytes]]", puts):
@@ -182,10 +189,23 @@ class ZenohEndpoint(Endpoint):
         self, timeout_s: float | None, enough: int = 1, quiet_key: str | None = None
     ) -> list[Event]:
         """All events; a wait of more than a tenth of a second may end as much later."""
-        if self.closed or self._forks != _forks:
+        if self.closed or self.forks != _forks:
             self.check_usable()
         rest, self._rest = self._rest, []
         return rest + self._mail.poll_all(0 if rest else timeout_s, enough, quiet_key)
+
+    def receive_payload(self, key: str) -> bytes | None:
+        """Wait for an event, and return the payload of ``key`` if nothing else is there."""
+        if self.closed or self.forks != _forks:
+            self.check_usable()
+        mail = self._mail
+        if self._rest or not mail.has_one_source(key):
+            return super().receive_payload(key)
+        payload = mail.next_payload()
+        if payload is not None and mail.has_news():
+            self._rest = [Received(key, payload)]
+            return None
+        return payload
 
     def wake(self) -> None:
         """Put one ``Wakeup`` in the inbox."""
@@ -202,7 +222,7 @@ class ZenohEndpoint(Endpoint):
             return
         self.closed = True
         self._mail.close()
-        if self._forks != _forks:
+        if self.forks != _forks:
             return
         # Zenoh's close has been seen to hang; nothing that we started may keep a process from ending.
         closer = threading.Thread(target=self._close, name="zenoh-close", daemon=True)
@@ -226,7 +246,7 @@ class ZenohEndpoint(Endpoint):
 
         Methods called every tick check the conditions themselves before calling this one.
         """
-        if not self.closed and self._forks == _forks:
+        if not self.closed and self.forks == _forks:
             return
         if self.closed:
             raise TransportError("this endpoint is closed")

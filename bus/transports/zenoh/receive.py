@@ -99,6 +99,15 @@ class Channel:
         if payload or sample.kind == zenoh.SampleKind.PUT:
             events.append(received((self.key or str(sample.key_expr), payload)))
 
+    def next(self) -> bytes | None:
+        """Wait for a payload and return it; None for the bell."""
+        try:
+            sample = self._recv()
+        except zenoh.ZError:
+            raise TransportError("this endpoint was closed while it waited") from None
+        payload = sample.payload.to_bytes()
+        return payload if payload or sample.kind == zenoh.SampleKind.PUT else None
+
     def ring(self) -> None:
         """End the current wait, or the next, by a deletion, which is not used otherwise and stays in this session."""
         with contextlib.suppress(zenoh.ZError):  # The session may be closed already.
@@ -192,6 +201,21 @@ class ReceiveQueue:
         for channel in self._quiet.values():
             drain(channel, quiet)
         return quiet + data + news
+
+    def has_one_source(self, key: str) -> bool:
+        """Return whether payloads of ``key`` are all that can come, but for news, and there is no news."""
+        main = self._main
+        return main is not None and main.key == key and not self._quiet and self._news.empty()
+
+    def has_news(self) -> bool:
+        """Return whether there is news."""
+        return not self._news.empty()
+
+    def next_payload(self) -> bytes | None:
+        """Wait for a payload of the one source and return it; None where news ended the wait."""
+        main = self._awaited = self._main
+        assert main is not None, "this is a bug: a wait for payloads without a source"
+        return main.next()
 
     def close(self) -> None:
         """End the timer's thread."""

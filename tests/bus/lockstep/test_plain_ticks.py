@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from bus.errors import WaitInterrupted
 from bus.lockstep import Participant
+from bus.lockstep.registers import decode_registers
 from bus.partition import Partition
 from bus.wire.frames import Control
-from tests.bus.support import MESSAGE, Network, System, grid
+from tests.bus.support import MESSAGE, FakeClock, Network, System, grid, payloads, settle
 
 
 @pytest.fixture
@@ -55,9 +57,8 @@ def take(system: System, member: Participant, tick: int, shard: int) -> bool:
     return True
 
 
-def test_all_ticks_but_the_first_are_plain_and_counted_as_others(system: System) -> None:
-    assert run_tick(system, 0, plain=True) == [False] * 3
-    for tick in range(1, 6):
+def test_ticks_are_plain_from_the_first_on_and_counted_as_others(system: System) -> None:
+    for tick in range(6):  # the start record comes with the first senses
         assert run_tick(system, tick, plain=True) == [True] * 3
     run_tick(system, 6, plain=False)
     assert run_tick(system, 7, plain=True) == [True] * 3
@@ -105,6 +106,39 @@ def test_a_control_record_makes_the_tick_one_to_gather(system: System) -> None:
     assert run_tick(system, 3, plain=True) == [True] * 3
 
 
+def test_an_observer_of_registers_makes_a_tick_one_to_gather_and_looking_for_one_does_not(
+    memory: Network,
+) -> None:
+    clock = FakeClock()
+    system = System(memory, Partition.even(grid(1, 3), 3), "relayed", MESSAGE, clock=clock).start()
+    for tick in range(4):
+        clock.now += 1.0
+        assert run_tick(system, tick, plain=True) == [True] * 3
+    watcher = memory.endpoint()
+    watcher.subscribe("mdms/*/shard/1/registers")
+    settle(system.members[1]._registers.publisher, watcher)
+    assert run_tick(system, 4, plain=True) == [True] * 3
+    clock.now += 1.0
+    system.host.publish(system.sense(5))
+    assert system.members[1].take_payload(5) is None
+    assert take(system, system.members[0], 5, 0)
+
+
+def test_registers_are_shown_on_request_although_no_tick_has_published_any(memory: Network) -> None:
+    system = System(memory, Partition.even(grid(1, 3), 3), "relayed", MESSAGE, clock=FakeClock()).start()
+    member = system.members[1]
+    member.read_registers_by(lambda: (np.array([[0, 1]]), {"a": np.array([7])}))
+    run_tick(system, 0, plain=True)
+    watcher = memory.endpoint()
+    watcher.subscribe("mdms/*/shard/1/registers")
+    settle(member._registers.publisher, watcher)
+    system.host.show_registers()
+    system.host.publish(system.sense(1))
+    assert member.take_payload(1) is not None
+    (frame,) = [decode_registers(payload, 1) for payload in payloads(watcher.receive_all(0))]
+    assert (frame.tick, frame.registers["a"].tolist()) == (0, [7])
+
+
 def test_a_payload_that_is_handed_back_is_gathered(system: System) -> None:
     run_tick(system, 0, plain=False)
     system.host.publish(system.sense(1))
@@ -139,7 +173,7 @@ def test_ticks_are_plain_again_after_a_neighbour_has_died(system: System) -> Non
 def test_the_last_tick_of_a_cell_with_a_scheduled_death_is_not_plain(system: System) -> None:
     member = system.members[0]
     member.schedule_death([0], 3)
-    assert run_tick(system, 0, plain=True) == [False] * 3
+    assert run_tick(system, 0, plain=True) == [False, True, True]  # the schedule is looked at once
     assert run_tick(system, 1, plain=True)[0]
     assert not run_tick(system, 2, plain=True)[0]
     ended = member.gather(3, 1.0)

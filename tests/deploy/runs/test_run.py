@@ -230,24 +230,3 @@ def test_the_picture_is_drawn_from_the_recording(tmp_path: Path) -> None:
 def test_quiet_says_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     _run(_scene(0.02), tmp_path)
     assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize(
-    ("options", "ahead"), [({}, True), ({"picture": False}, False), ({"realtime": 100.0}, False)]
-)
-def test_what_a_plot_is_drawn_with_is_imported_beside_the_start_unless_it_could_delay_ticks(
-    options: dict[str, Any], ahead: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started: list[str] = []
-    start = threading.Thread.start
-
-    def noted(thread: threading.Thread) -> None:
-        started.append(thread.name)
-        start(thread)
-
-    monkeypatch.setattr(threading.Thread, "start", noted)
-    given = {"output": tmp_path, **options}
-    outcome = run(_scene(0.01), RunOptions(0, "memory", **given), quiet=True)
-    assert outcome.summary.status == "ok"
-    assert ("plots" in started) is ahead
-    assert "plots" not in {thread.name for thread in threading.enumerate()}

@@ -205,7 +205,7 @@ def test_a_fault_acts_at_once_on_a_drive_that_stands_until_the_next_takes_effect
         plain = wheels.speed[0, 0]
         wheels.apply_faults(faulty(2, (REVERSED, [1])), stood)
         run = wheels.command(new, 0.02, acts_s)
-        begun, late = run.speed(0.0), run.motion.steady
+        begun, late = run.motion.steady + run.motion.decay, run.motion.steady
         assert begun[0, 0] == pytest.approx(plain)
         assert np.all(late[1] < 0.0)
         assert np.all(late[0] > 0.0)
