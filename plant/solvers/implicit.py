@@ -107,7 +107,7 @@ def make_workspace(cells: int, capacity: int) -> ImplicitWorkspace:
         ended=np.zeros(3),
         law=np.zeros(implicit_layout.LAW_SIZE),
         pace=np.zeros(implicit_layout.PACE_SIZE),
-        wheels=np.zeros((capacity * layout.MODES, implicit_layout.WHEEL_SIZE)),
+        wheels=np.zeros((capacity * layout.MODES + 1, implicit_layout.WHEEL_SIZE)),
         start=np.zeros(3),
         velocity=np.zeros(3),
         trial=np.zeros(3),
@@ -175,36 +175,36 @@ def locate(
     parcel.par[layout.TOLERANCE] = spec.tolerance
     parcel.par[layout.CAPTURE] = spec.capture_m
     parcel.par[layout.LIMIT] = math.inf
-    # loads by the pose, and jumping where a cell comes or goes: what chatter and the kernels of ``exact`` take
-    linear = effects.load_transfer is None and effects.contact_width is None
+    tall = effects.load_transfer is not None
+    # nothing chatters where loads ramp; wheels that lag behind by the mean of their forces would shift no mode's loads
+    chatters = effects.contact_width is None and not (tall and effects.wheel_load is not None)
     if traction.set_valued:
         parcel.par[layout.FREE_SPEED] = traction.free_speed
-        if traction.static_ratio == 1.0:  # else errors are greater than where steps shrink (decision 0057)
-            law[implicit_layout.LOCATED] = implicit_layout.CONES
+        law[implicit_layout.LOCATED] = implicit_layout.CONES
         if not traction.isotropic:
             # no slip is within the limit: each wheel sticks, or slips one way
             parcel.par[[layout.LIMIT, layout.LIMIT_PER_SHARE]] = 0.0
             law[implicit_layout.LOCATED] = implicit_layout.JUMPS
-        # where cells that feel what they pull all stick, no fraction of a captured cell is found
-        if linear and not (traction.isotropic and effects.wheel_load is not None):
+        if chatters:
             law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
         return
-    if not linear:
+    if not chatters:
+        return
+    if effects.wheel_load is not None:
+        # with motors that the law doesn't have itself no wheel has branches
+        law[implicit_layout.CAPTURES] = implicit_layout.BY_STEPS
         return
     kinks = math.inf not in (traction.limit, traction.limit_per_load) and (
         traction.stiffness > 0.0 or traction.stiffness_per_load > 0.0
     )
-    if effects.wheel_load is not None:
-        # a wheel that may be on two branches at once would have to lag behind by both
-        law[implicit_layout.CAPTURES] = 0.0 if kinks else implicit_layout.BY_STEPS
-        return
-    set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
     # what the kernels of ``exact`` don't know of: where wheels change branch, and the motion along a surface
     known = effects.uneven_friction is None and effects.roller_drag is None and traction.viscous == 0.0
-    if not known:
-        parcel.par[layout.LIMIT] = math.inf
-    law[implicit_layout.LOCATED] = float(parcel.par[layout.LIMIT] < math.inf)
-    if known and effects.uneven_supports is None:
+    if not tall:
+        set_law(parcel.par, traction, mass_kg, scene.gravity_m_s2)
+        if not known:
+            parcel.par[layout.LIMIT] = math.inf
+        law[implicit_layout.LOCATED] = float(parcel.par[layout.LIMIT] < math.inf)
+    if known and not tall and effects.uneven_supports is None:
         law[implicit_layout.CAPTURES] = implicit_layout.BY_SERIES
     else:
         # without branches forces are linear in the loads

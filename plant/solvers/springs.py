@@ -11,6 +11,7 @@ from plant.array import CellArray
 from plant.effects.roller_impacts import starts
 from plant.effects.uneven_friction import friction_factors
 from plant.effects.uneven_supports import supports
+from plant.kernels.common import layout
 from plant.kernels.common.surface import AllEdges, AllRollers, AllSprings, AllStiction, AllTransfer
 from plant.specs import PlantSpec
 from plant.wheels import Floats
@@ -98,7 +99,8 @@ def make_transfer(scene: PlantSpec) -> AllTransfer | None:
     heights = [transfer.centre_of_mass_height_m if height is None else height for height in own]
     return AllTransfer(
         lever_s2=np.array(heights) / scene.gravity_m_s2,
-        shift=np.zeros((len(heights), 2)),
+        shift=np.zeros((len(heights), layout.MODES, 2)),
+        change=np.zeros((len(heights), layout.MODES, 4)),
         memory=np.zeros((len(heights), 3)),
     )
 

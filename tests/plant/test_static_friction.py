@@ -85,6 +85,24 @@ def test_wheels_carry_a_parcel_along_up_to_the_static_force_and_drag_it_by_the_k
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("static", [MU, STATIC])
+@pytest.mark.parametrize("contact", CONTACTS)
+def test_slips_that_all_end_at_once_end_on_time(contact: str, static: float) -> None:
+    """Motors that slow down as they pick up: the parcel slides until it is as fast as all wheels are."""
+    acceleration = 1.3 * static * G
+    plant = held(contact=contact, static=static)
+    caught = brentq(lambda t: wheel(acceleration, t) - MU * G * t, 0.02, 0.5, xtol=1e-15)
+    plant.advance(uniform(plant, volts(acceleration)), round((caught + 0.01) * SECOND))
+    end = plant.time_ns / SECOND
+
+    def way(time_s: float) -> float:
+        return TAU * (acceleration * time_s - wheel(acceleration, time_s))
+
+    assert plant.state[0, 3] == pytest.approx(wheel(acceleration, end), abs=1e-13)
+    assert plant.state[0, 0] == pytest.approx(0.5 * MU * G * caught**2 + way(end) - way(caught), abs=1e-11)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("static", [STATIC, 0.8])
 @pytest.mark.parametrize("contact", CONTACTS)
 def test_a_parcel_whose_slip_ends_is_held_by_what_only_static_friction_can_give(

@@ -19,6 +19,7 @@ from plant.kernels.common.modes import (
     settle_modes,
 )
 from plant.kernels.common.motion import surfaces
+from plant.kernels.common.springs import shift_alike
 
 INDEPENDENT = 1e-6
 """Groups whose effects on their surfaces are closer to singular than this count as one."""
@@ -129,6 +130,8 @@ def capture(surface, parcel, work, group, c, s):
         for i in range(ctl[at.N_MEMBERS]):
             for m in range(1 << group):
                 mem[i, at.MARK + (m | 1 << group)] = mem[i, at.MARK + m]
+        for m in range(1 << group):
+            shift_alike(surface, m | 1 << group, m)
     for i in range(ctl[at.N_CROSSED]):
         side = work.signs[i] if fresh else side_in(surface, parcel, work, group, i, c, s)
         slot = slot_of(mem, ctl, work.cells[i])
@@ -233,7 +236,7 @@ def groups_hold(surface, parcel, c, s):
                 distance = depth(surface, parcel, mem[i, at.CELL], mem[i, at.EDGE], c, s)
                 low, high = min(low, mem[i, at.SIDE] * distance), max(high, mem[i, at.SIDE] * distance)
         if high - low > 2.0 * parcel.par[at.CAPTURE]:
-            release_inside(mem, ctl, h)
+            release_inside(surface, mem, ctl, h)
             ctl[at.N_CAPTURES] += 1
         else:
             h += 1

@@ -57,10 +57,10 @@ def apply(surface, parcel, work, count, together, time, events, c, s):
             # the last entry says in which mode
             mem[slot, at.MARK + int(found[i, at.EV_EDGE])] = at.LIFTED if kind == at.UNLOAD else at.ACTIVE
         elif kind in (at.ONLY_NEAR, at.ONLY_FAR) and captured:
-            release(mem, ctl, mem[slot, at.GROUP], kind == at.ONLY_FAR)
+            release(surface, mem, ctl, mem[slot, at.GROUP], kind == at.ONLY_FAR)
             ctl[at.N_CAPTURES] += 1
         elif kind == at.CORNER and captured:
-            release_inside(mem, ctl, mem[slot, at.GROUP])
+            release_inside(surface, mem, ctl, mem[slot, at.GROUP])
             ctl[at.N_CAPTURES] += 1
             slot = slot_of(mem, ctl, cell)
             if slot >= 0:

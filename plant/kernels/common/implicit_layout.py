@@ -47,15 +47,16 @@ PACE_SIZE: Final = 10
 
 # ── wheels: float64 (capacity, .), one row for each cell that carries load and isn't coasting
 AX, AY, SX, SY, BX, BY, CX, CY, GX, GY, LX, LY, K, SUMMED, SIDE_X, SIDE_Y, CELL = range(17)
-SLIPS, WAS_X, WAS_Y, OWN_X, OWN_Y, OWN_K = range(17, 23)
+SLIPS, WAS_X, WAS_Y, OWN_X, OWN_Y, OWN_K, ONE_BEFORE, TWO_BEFORE = range(17, 25)
 """Underside above the cell: ``v = (w0 + AX w2, w1 + AY w2)``; free speeds S; ``b`` and ``c`` along each axis, equal
 where both axes share one limit; multipliers L. Forces without a limit are ``G - K v``: the law's push and viscous part,
 and other resistance to the underside's motion. ``SUMMED`` is the size of the terms that the free speeds are sums of:
 they may cancel, their rounding does not. ``SIDE_X`` and ``SIDE_Y`` are 1 or -1 where the wheel sticks
 as the step begins and slips that way at its end, else 0. ``CELL`` is which cell it is. ``SLIPS`` is 1 where both wheels
 of a cell slip, which share one limit; ``WAS_X`` and ``WAS_Y`` are then their slip as the part begins. ``OWN_X`` and
-``OWN_Y``: the part of G by which the wheel itself is pulled back, ``OWN_K`` that of K."""
-WHEEL_SIZE: Final = 23
+``OWN_Y``: the part of G by which the wheel itself is pulled back, ``OWN_K`` that of K. ``ONE_BEFORE`` and
+``TWO_BEFORE``: size of their slip as the parts before began, of the finest cut."""
+WHEEL_SIZE: Final = 25
 
 # ── first: float64 findings about a step: the change of velocity in its first part, then
 REGIME: Final = 3  # which wheels are at their limits there
@@ -66,7 +67,9 @@ CEASED: Final = (
     7  # parts of it, cut most finely, by whose end a cell's slip had ended; more than there are if none had
 )
 TURNED: Final = 8  # 1 where the slip of a cell turned in one of them so far that it may have ended within
-FIRST_SIZE: Final = 9
+ENDS: Final = 9  # where in the last of them, in parts, the first slip that ends there does; 1 if none does
+LED_ON: Final = 10  # how far such slips were led on beyond their end, at most, in m over a part's seconds
+FIRST_SIZE: Final = 11
 
 # ── slowing: rows of the cells whose wheels a parcel has slowed: D along x and y, m/s, and their integrals, m
 SLOWED: Final = 4

@@ -11,7 +11,7 @@ from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.moments import segment
 from plant.kernels.common.motion import solve
-from plant.kernels.common.springs import gap, negligible, plane_at, shift, stiffness
+from plant.kernels.common.springs import gap, negligible, plane_at, shift, stiffness, unshift
 
 
 @kernel
@@ -141,7 +141,7 @@ def contact(surface, parcel, seg, mark, scratch, newton):
     z, w, slope, step, trial = newton[0], newton[1], newton[2], newton[3], newton[4]
     hessian = newton[5:8]
     origin = (seg[at.CX], seg[at.CY], parcel.par[at.PITCH])
-    sx, sy = shift(surface)
+    sx, sy = shift(surface, mark - at.MARK)
     w[0], w[1], w[2] = 1.0, (sx - origin[0]) / origin[2], (sy - origin[1]) / origin[2]
     z[0], z[1], z[2] = 1.0 / ctl[at.N_MEMBERS] + widest_gap(surface, parcel, mark), 0.0, 0.0
     value = potential(surface, parcel, mark, origin, z, w)
@@ -181,7 +181,7 @@ def contact(surface, parcel, seg, mark, scratch, newton):
 @kernel
 def violated(surface, parcel, seg, mark):
     """True where a cell marked as loaded would pull, or one marked as lifted would be pressed."""
-    sx, sy = shift(surface)
+    sx, sy = shift(surface, mark - at.MARK)
     a0, bx, by = plane_at(surface, seg, sx - seg[at.CX], sy - seg[at.CY])
     zero = negligible(surface, a0)
     for i in range(parcel.ctl[at.N_MEMBERS]):
@@ -210,7 +210,7 @@ def exchange(surface, parcel, seg, mark):
     ``contact`` finds the supports to the rounding of its potential, half the digits of a load; loads nearer to zero
     than that are sorted out here, one by one.
     """
-    sx, sy = shift(surface)
+    sx, sy = shift(surface, mark - at.MARK)
     a0, bx, by = plane_at(surface, seg, sx - seg[at.CX], sy - seg[at.CY])
     mem = parcel.mem
     worst, which = 0.0, -1
@@ -230,7 +230,7 @@ def exchange(surface, parcel, seg, mark):
 @kernel
 def stands(surface, parcel, seg, mark):
     """Whether supports that span no plane carry the parcel. Returns (tipped, off their line)."""
-    ctl, (sx, sy) = parcel.ctl, shift(surface)
+    ctl, (sx, sy) = parcel.ctl, shift(surface, mark - at.MARK)
     centre = (parcel.y[0] + sx, parcel.y[1] + sy)
     distance, a, b = outside_hull(surface.pos, parcel.mem, ctl, centre, parcel.par[at.PITCH], mark)
     ctl[at.TIP_A], ctl[at.TIP_B] = a, b
@@ -288,3 +288,14 @@ def settle(surface, parcel, seg, mark, scratch, newton):
             contact(surface, parcel, seg, mark, scratch, newton)
             near = True
     return at.NO_LOADS
+
+
+@kernel
+def settle_mode(surface, parcel, work, m):
+    """As ``settle``, of mode m; with no shift of its loads where none balance with the one that stands."""
+    seg, mark = work.segs[m], at.MARK + m
+    status = settle(surface, parcel, seg, mark, work.scratch, work.newton)
+    if status == at.TIPPED and unshift(surface, m):
+        # the traction that shifted the loads may be gone
+        status = settle(surface, parcel, seg, mark, work.scratch, work.newton)
+    return status

@@ -14,9 +14,10 @@ from bus.kernel_cache.callee import kernel
 from plant.kernels.common import layout as at
 from plant.kernels.common.branches import settle_branches
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.loads import settle
+from plant.kernels.common.loads import settle_mode
 from plant.kernels.common.moments import moments
 from plant.kernels.common.motion import accelerations, surfaces
+from plant.kernels.common.springs import shift_alike
 
 
 def gather(work, surface, parcel, m, e, mixes):
@@ -54,7 +55,7 @@ def put_in(mem, i, group, side):
 
 
 @kernel
-def release(mem, ctl, group, far):
+def release(surface, mem, ctl, group, far):
     """End a captured group: its cells are from now on what they were on the far, or the near, side."""
     below, i = (1 << group) - 1, at.ZERO
     while i < ctl[at.N_MEMBERS]:
@@ -71,17 +72,20 @@ def release(mem, ctl, group, far):
             source = ((m & ~below) << 1) | (m & below)
             mem[i, at.MARK + m] = mem[i, at.MARK + (source | (1 << group) if far else source)]
         i += 1
+    for m in range(at.MODES >> 1):
+        source = ((m & ~below) << 1) | (m & below)
+        shift_alike(surface, m, source | (1 << group) if far else source)
     ctl[at.N_GROUPS] -= 1
 
 
 @kernel
-def release_inside(mem, ctl, group):
+def release_inside(surface, mem, ctl, group):
     """End a captured group on the side on which more of its cells are under the parcel."""
     balance = at.ZERO
     for i in range(ctl[at.N_MEMBERS]):
         if mem[i, at.SIDE] != 0 and mem[i, at.GROUP] == group:
             balance += mem[i, at.SIDE]
-    release(mem, ctl, group, balance >= 0)
+    release(surface, mem, ctl, group, balance >= 0)
 
 
 @kernel
@@ -122,7 +126,7 @@ def settle_modes(surface, parcel, work, e):
     """Loads and sums of every mode; a captured mode must span a plane. Returns the status."""
     groups = parcel.ctl[at.N_GROUPS]
     for m in range(1 << groups):
-        status = settle(surface, parcel, work.segs[m], at.MARK + m, work.scratch, work.newton)
+        status = settle_mode(surface, parcel, work, m)
         if status != at.MOVING:
             return status
         gather(work, surface, parcel, m, e, at.COMPLETE)
@@ -143,21 +147,21 @@ def settled(surface, parcel, work, e, c, s):
         status = settle_modes(surface, parcel, work, e)
         if status != at.MOVING:
             while ctl[at.N_GROUPS] > 0:
-                release_inside(mem, ctl, ctl[at.N_GROUPS] - 1)
+                release_inside(surface, mem, ctl, ctl[at.N_GROUPS] - 1)
                 ctl[at.N_CAPTURES] += 1
             continue
         surfaces(surface, parcel, work.grp)
         _, _, _, conditioning = mix(work, surface, parcel, e, c, s)
         if conditioning < SINGULAR:
-            release_inside(mem, ctl, ctl[at.N_GROUPS] - 1)
+            release_inside(surface, mem, ctl, ctl[at.N_GROUPS] - 1)
             ctl[at.N_CAPTURES] += 1
             continue
         share, group, far = least_share(parcel, work)
         if share >= -FRACTION_ZERO:
             return status
-        release(mem, ctl, group, far)
+        release(surface, mem, ctl, group, far)
         ctl[at.N_CAPTURES] += 1
-    status = settle(surface, parcel, work.segs[0], at.MARK, work.scratch, work.newton)
+    status = settle_mode(surface, parcel, work, at.ZERO)
     if status == at.MOVING:
         gather(work, surface, parcel, at.ZERO, e, at.UNDONE)
     return status

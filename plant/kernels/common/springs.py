@@ -33,12 +33,16 @@ def transfer_under(surface, i):
     """The shift of parcel ``i``'s loads."""
 
 
-def shift(surface):
-    """The load's centre from the centre of mass (x, y), m."""
+def shift(surface, m):
+    """The load's centre from the centre of mass (x, y), in mode m, m."""
 
 
-def unshift(surface):
-    """Take the load's centre for the centre of mass. Returns whether it was another."""
+def unshift(surface, m):
+    """Take the load's centre in mode m for the centre of mass. Returns whether it was another."""
+
+
+def shift_alike(surface, m, other):
+    """Take the load's centre in mode m to be where it is in the ``other``."""
 
 
 def foreseen(surface):
@@ -159,13 +163,18 @@ def _no_transfer(_surface, _i):
 
 
 @implements(shift, "transfer", own=False)
-def _none(_surface):
+def _none(_surface, _m):
     return 0.0, 0.0
 
 
 @implements(unshift, "transfer", own=False)
-def _never_another(_surface):
+def _never_another(_surface, _m):
     return False
+
+
+@implements(shift_alike, "transfer", own=False)
+def _all_alike(_surface, _m, _other):
+    return
 
 
 @implements(foreseen, "transfer", "edges", own=False)

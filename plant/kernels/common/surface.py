@@ -154,12 +154,14 @@ class Transfer(NamedTuple):
 
     Attributes:
         lever_s2: height of the centre of mass over the gravitational acceleration.
-        shift: ``(2,)`` from the centre of mass to the load's centre, m.
+        shift: ``(MODES, 2)`` from the centre of mass to the load's centre in each mode, m.
+        change: ``(MODES, 4)`` scratch: a shift before a correction, and the correction, m.
         memory: ``(3,)`` scratch: passes of the balance so far, what it was off by, share of a correction.
     """
 
     lever_s2: float
     shift: Floats
+    change: Floats
     memory: Floats
 
 
@@ -168,12 +170,14 @@ class AllTransfer(NamedTuple):
 
     Attributes:
         lever_s2: ``(m,)``.
-        shift: ``(m, 2)``.
+        shift: ``(m, MODES, 2)``.
+        change: ``(m, MODES, 4)``.
         memory: ``(m, 3)``.
     """
 
     lever_s2: Floats
     shift: Floats
+    change: Floats
     memory: Floats
 
 

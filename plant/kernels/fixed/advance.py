@@ -59,10 +59,11 @@ def rate(surface, parcel, work, e, slope):
     y, w, arm = parcel.y, work.velocity, work.pace[im.GYRATION]
     w[0], w[1], w[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
     begin_balance(surface)
+    instant = e, at.NOTHING, w[0], w[1], w[2]
     while True:
         along_x, along_y, turn = traction(surface, parcel, work, e)
         noise = 8.0 * EPSILON * (abs(along_x) + abs(along_y))
-        status = balance(surface, parcel, work, along_x, along_y, noise)
+        status = balance(surface, parcel, work, instant, along_x, along_y, noise)
         if status != im.UNBALANCED:
             break
     slope[0], slope[1], slope[at.THETA] = y[at.UX], y[at.UY], y[at.OMEGA]

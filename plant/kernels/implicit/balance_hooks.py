@@ -22,11 +22,13 @@ def begin_balance(surface):
     """Begin a balance at the shift that stands."""
 
 
-def balance(surface, parcel, work, ax, ay, noise):
+def balance(surface, parcel, work, instant, ax, ay, noise):
     """Shift the loads to where the traction has them that accelerates the parcel by (ax, ay), m/s^2.
 
-    ``noise`` is the rounding of that acceleration. Returns MOVING where they were there, UNBALANCED where the traction
-    is to be found again, TIPPED where no loads balance it, NOT_SOLVED where none were found.
+    ``instant`` is a tuple: the motors' decay factor, how long the part of the step lasts, s, and the velocity at which
+    the wheels listed pull. ``noise`` is the rounding of that acceleration. Returns MOVING where they were there,
+    UNBALANCED where the traction is to be found again, TIPPED where no loads balance it, NOT_SOLVED where none were
+    found.
     """
 
 
@@ -47,5 +49,5 @@ def _nothing_to_begin(_surface):
 
 
 @implements(balance, "transfer", own=False)
-def _balanced(_surface, _parcel, _work, _ax, _ay, _noise):
+def _balanced(_surface, _parcel, _work, _instant, _ax, _ay, _noise):
     return at.MOVING

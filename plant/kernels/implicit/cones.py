@@ -53,8 +53,36 @@ def cone_rate(surface, parcel, work, acceleration, e, cell):
 
 
 @kernel
-def watch_cones(parcel, work, count, part):
-    """Note slips that end, or turn by more than ``TURN``, by the end of the ``part`` just solved of the finest cut."""
+def end_ahead(size, before, earlier):
+    """In how many parts a slip of this ``size`` ends, by a parabola through its size one and two parts before.
+
+    Returns (that, at most 1; how much it then falls in a part).
+    """
+    fall, bend = before - size, size - 2.0 * before + earlier
+    if not fall > 0.0:
+        return 0.5, size
+    # of the two ways to write a root, the one that does not cancel
+    slope = fall - 0.5 * bend
+    root = slope * slope - 2.0 * bend * size
+    below = slope + root**0.5 if root > 0.0 else slope
+    ahead = 2.0 * size / below if below > 0.0 else 0.5
+    return min(ahead, 1.0), fall
+
+
+@kernel
+def note_end(first, row, size):
+    """Keep where in the last part a slip ends that was of this ``size`` as the part began."""
+    ahead, fall = end_ahead(size, row[im.ONE_BEFORE], row[im.TWO_BEFORE])
+    first[im.ENDS] = min(first[im.ENDS], ahead)
+    first[im.LED_ON] = max(first[im.LED_ON], 0.5 * fall * (1.0 - ahead) * (1.0 - ahead))
+
+
+@kernel
+def watch_cones(parcel, work, count, part, last):
+    """Note slips that end, or turn by more than ``TURN``, by the end of the ``part`` just solved of the finest cut.
+
+    ``last`` is its last part.
+    """
     first = work.first
     for i in range(count):
         row = work.wheels[i]
@@ -67,11 +95,14 @@ def watch_cones(parcel, work, count, part):
             # what the error of the step before left ends at once where other wheels hold the parcel
             if before > parcel.par[at.TOLERANCE]:
                 first[im.CEASED] = min(first[im.CEASED], part + 1.0)
+            if part == last:
+                note_end(first, row, before)
         elif (
             min(size, before) > LARGEST * slight(parcel.par, 0.0)
             and x * was_x + y * was_y < TURN * size * before
         ):
             first[im.TURNED] = 1.0
+        row[im.TWO_BEFORE], row[im.ONE_BEFORE] = row[im.ONE_BEFORE], before
 
 
 @kernel

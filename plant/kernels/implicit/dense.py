@@ -115,13 +115,14 @@ def accelerate(surface, parcel, work, now, acceleration):
         hold_supports(surface, parcel, work, at.NOTHING)
         return status
     begin_balance(surface)
+    instant = decay(parcel.par, now), at.NOTHING, y[at.UX], y[at.UY], work.pace[im.GYRATION] * y[at.OMEGA]
     while True:
         if ruled:
             by_rule(surface, parcel, work, now)
         else:
             by_formula(surface, parcel, work, now)
         noise = 8.0 * EPSILON * (abs(w[0]) + abs(w[1]))
-        status = balance(surface, parcel, work, w[0], w[1], noise)
+        status = balance(surface, parcel, work, instant, w[0], w[1], noise)
         if status != im.UNBALANCED:
             break
     acceleration[0], acceleration[1], acceleration[2] = w[0], w[1], w[2] / work.pace[im.GYRATION]

@@ -40,6 +40,8 @@ SHORTEST = 1e-12
 """No step is shorter, s; at this length any is taken."""
 TRIFLE = 1e-10
 """In a step this short, s, the forces are within rounding of the velocities: one not solved to rounding is as good."""
+TRIFLING = 1e-2
+"""Of the error that a step may have, this share may be due to a slip that was led on beyond its end."""
 HURRIED = 16.0
 """A step in which a slip turns too far is shortened as if its error were so many times what it may be."""
 MANY = 20.0
@@ -165,13 +167,15 @@ def euler(surface, parcel, work, until, h):
     y, arm, start, w = parcel.y, work.pace[im.GYRATION], work.start, work.velocity
     start[0], start[1], start[2] = y[at.UX], y[at.UY], arm * y[at.OMEGA]
     begin_balance(surface)
+    e = decay(parcel.par, until)
     while True:
-        count, found = find_motion(surface, parcel, work, decay(parcel.par, until), h, w)
+        count, found = find_motion(surface, parcel, work, e, h, w)
         if not found:
             status = im.NOT_SOLVED
             break
         noise = 8.0 * EPSILON * (abs(w[0]) + abs(w[1]) + abs(start[0]) + abs(start[1])) / h
-        status = balance(surface, parcel, work, (w[0] - start[0]) / h, (w[1] - start[1]) / h, noise)
+        ax, ay = (w[0] - start[0]) / h, (w[1] - start[1]) / h
+        status = balance(surface, parcel, work, (e, h, w[0], w[1], w[2]), ax, ay, noise)
         if status != im.UNBALANCED:
             break
     if status == at.TIPPED:
@@ -216,7 +220,7 @@ def cut(surface, parcel, work, now, h, parts):
     take_back(work)
     restore_grips(surface, work)
     work.first[im.SLIPPED] = work.first[im.OUTSIDE] = work.first[im.TURNED] = 0.0
-    work.first[im.CEASED] = parts + 1.0
+    work.first[im.CEASED], work.first[im.ENDS], work.first[im.LED_ON] = parts + 1.0, 1.0, 0.0
     for j in range(parts):
         status = supports_here(surface, parcel, work, part)
         if status != at.MOVING:
@@ -226,7 +230,7 @@ def cut(surface, parcel, work, now, h, parts):
         commit_grips(surface, work, pulling)
         if parts == PARTS and slips_jump(work.law):
             work.first[im.SLIPPED] = max(work.first[im.SLIPPED], largest_slip(work, pulling))
-            watch_cones(parcel, work, pulling, j)
+            watch_cones(parcel, work, pulling, j, PARTS - 1)
         if parts == PARTS:
             work.first[im.OUTSIDE] = max(work.first[im.OUTSIDE], outside(parcel, work))
         if j == 0:
@@ -336,6 +340,10 @@ def controlled(surface, parcel, work, now, h):
             if work.first[im.CEASED] < PARTS:
                 # a slip that ends in the last part alone leaves the others as they are
                 h *= work.first[im.CEASED] / PARTS
+                continue
+            if work.first[im.LED_ON] * h / PARTS > TRIFLING * allowed:
+                # where all slips end at once, every way of cutting the step leads them on alike
+                h *= (PARTS - 1.0 + work.first[im.ENDS]) / PARTS
                 continue
             if work.first[im.TURNED] != 0.0:
                 error = max(error, HURRIED * allowed)

@@ -59,11 +59,15 @@ def _gather(work, surface, parcel, m, e, mixes):
 
 @kernel
 def second_rates(surface, parcel, work, row, c, s):
-    """Accelerations at the present fractions into ``work.adds[row]``, the surfaces' second rates into ``seconds``."""
+    """Accelerations at the present fractions into ``work.adds[row]``, the surfaces' second rates into ``seconds``.
+
+    Returns the status, as ``dense.accelerate`` does.
+    """
     add = work.adds[row]
-    accelerate(surface, parcel, work, work.pace[im.NOW], add)
+    status = accelerate(surface, parcel, work, work.pace[im.NOW], add)
     for g in range(parcel.ctl[at.N_GROUPS]):
         _, _, work.seconds[row, g] = surface_rates(work.grp[g], parcel.y, c, s, add[0], add[1], add[2])
+    return status
 
 
 @kernel
@@ -80,9 +84,12 @@ def mix_instant(surface, parcel, work, c, s):
             fraction[h] += NUDGE
             second_rates(surface, parcel, work, 1 + h, c, s)
             fraction[h] -= NUDGE
-        second_rates(surface, parcel, work, at.ZERO, c, s)
+        status = second_rates(surface, parcel, work, at.ZERO, c, s)
         if groups == 0:
             break
+        if status == at.TIPPED:
+            # no loads balance the traction of some mode
+            return add[0, 0], add[0, 1], add[0, 2], 0.0
         for h in range(groups):
             for k in range(3):
                 work.reply[k, h] = (add[1 + h, k] - add[0, k]) / NUDGE

@@ -191,9 +191,9 @@ def hold_cone(surface, parcel, work, i, row, limit, e, h):
 
 @kernel
 def keep_slips(surface, parcel, work, law, i, row, e):
-    """Let the wheels of member ``i`` that stick keep, for an instant, the slip that the error of a step left them.
+    """Let the wheels of member ``i`` that stick keep, for a step, the slip that the error of the one before left them.
 
-    ``e`` is the motors' decay factor now. To end that slip within the instant would take any force.
+    ``e`` is the motors' decay factor now. To end that slip within an instant would take any force.
     """
     par, cell = parcel.par, parcel.mem[i, at.CELL]
     for axis in range(2):
@@ -206,10 +206,10 @@ def keep_slips(surface, parcel, work, law, i, row, e):
 @kernel
 def press(surface, parcel, work, ahead_x, ahead_y):
     """Every mode's plane of the springs, the parcel's centre being so far ahead, into ``work.planes``."""
-    sx, sy = shift(surface)
     groups = parcel.ctl[at.N_GROUPS]
     for m in range(1 << groups):
         seg, plane = work.segs[m], work.planes[m]
+        sx, sy = shift(surface, m)
         if groups > 0:
             note_gaps(surface, parcel, seg, at.MARK + m)
         mx, my = ahead_x + sx - seg[at.CX], ahead_y + sy - seg[at.CY]
@@ -242,7 +242,7 @@ def mean_share(surface, parcel, work, i, continues):
 
 @kernel
 def share_in(surface, parcel, work, i, m, continues):
-    """As ``mean_share``, of mode m alone, weighted by its share of the motion."""
+    """As ``mean_share``, of mode m alone: the load, and 1 where it counts."""
     mem = parcel.mem
     if mem[i, at.MARK + m] != at.ACTIVE:
         return 0.0, 0.0
@@ -251,8 +251,7 @@ def share_in(surface, parcel, work, i, m, continues):
     load = stiffness(surface, cell, i) * (plane[0] + plane[1] * rx + plane[2] * ry - gap(surface, cell))
     if load <= 0.0 and not continues:
         return 0.0, 0.0
-    part = share_of(work.fraction, parcel.ctl[at.N_GROUPS], m)
-    return part * load, part
+    return load, 1.0
 
 
 @kernel
@@ -298,6 +297,9 @@ def list_wheels(surface, parcel, work, law, e, h, i, m, count, share, part):
         hold_branches(mem, i, row, m, limit_x, limit_y, law[im.LOCATED] - im.KINKS)
     if slips_jump(law) and h <= INSTANT:
         keep_slips(surface, parcel, work, law, i, row, e * (1.0 + parcel.par[at.RATE] * h))
+    elif law[im.LOCATED] == im.CONES and law[im.WHEEL] != 0.0 and parcel.ctl[at.N_GROUPS] > 0:
+        # no fraction makes up for what would end such a slip in a short step
+        keep_slips(surface, parcel, work, law, i, row, e * exp(parcel.par[at.RATE] * h))
     lighten(work, parcel, count, cell, push_x, push_y, h)
     if law[im.VISCOUS] != 0.0:
         row[im.GX] += row[im.K] * row[im.SX]
@@ -327,6 +329,8 @@ def grasp(surface, parcel, work, law, e, h):
         for m in range(modes):
             if modes > 1:
                 share, part = share_in(surface, parcel, work, i, m, continues)
+                weight = share_of(work.fraction, parcel.ctl[at.N_GROUPS], m)
+                share, part = weight * share, weight * part
             else:
                 share, part = mean_share(surface, parcel, work, i, continues)
             list_wheels(surface, parcel, work, law, e, h, i, m, count, share, part)

@@ -9,8 +9,8 @@ from plant.kernels.common import layout as at
 from plant.kernels.common.changes import enter
 from plant.kernels.common.footprint import box, inside
 from plant.kernels.common.hooks import implements
-from plant.kernels.common.loads import settle
-from plant.kernels.common.springs import reach, spread, touches, unshift, weigh
+from plant.kernels.common.loads import settle_mode
+from plant.kernels.common.springs import reach, spread, touches, weigh
 
 FARTHEST = 1e9
 """A parcel this many pitches away has no cells under it."""
@@ -74,15 +74,16 @@ def _admit(surface, parcel, work):
 
 @kernel
 def settle_loads(surface, parcel, work, ahead):
-    """Which of the cells under the parcel carry load where it is. Returns the status.
+    """Which of the cells under the parcel carry load where it is, in every mode. Returns the status.
 
     Cells of which a share is under the parcel count by that ``ahead`` seconds from now.
     """
     weigh(surface, parcel, ahead)
-    status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
-    if status == at.TIPPED and unshift(surface):
-        # the traction that shifted the loads may be gone
-        status = settle(surface, parcel, work.seg, at.MARK, work.scratch, work.newton)
+    status = at.MOVING
+    for m in range(1 << parcel.ctl[at.N_GROUPS]):
+        status = settle_mode(surface, parcel, work, m)
+        if status != at.MOVING:
+            break
     return status
 
 

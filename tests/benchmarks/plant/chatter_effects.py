@@ -22,9 +22,10 @@ from tests.plant.scenes import SECOND, Floats
 from tests.plant.slipping import controlled, distance_m_of
 
 METHOD = """\
-{seeds} scenes a case (tests/plant/chattering.py) of {span:g} s, begun at rest within 1e-11 m of an edge that draws the
-parcel from both sides. capture_m is a tenth of the tolerance. Off: from a tolerance of 1e-9 with a capture_m of 1e-13,
-which locates the crossings, at the footprint, over the tolerance. Changes and steps: of supports, attempted, of all.
+{seeds} scenes a case (tests/plant/chattering.py) of {span:g} s, begun at rest within {off:g} m of an edge that draws
+the parcel from both sides. capture_m is a tenth of the tolerance. Off: from a tolerance of 1e-9 with a capture_m of a
+hundredth of that distance, which locates the crossings, at the footprint, over the tolerance. Changes and steps: of
+supports, attempted, of all. A capture takes the first swing's velocity, which goes with the root of that distance.
 """
 DAMPED = Coulomb(law="coulomb", coefficient=MU, viscous_n_s_per_m=10.0)
 DAMPED_CONE = Coulomb(law="coulomb", coefficient=MU, viscous_n_s_per_m=10.0, contact="isotropic")
@@ -48,15 +49,16 @@ CASES: dict[str, tuple[Any, dict[str, object], float]] = {
     "load_transfer, stick_slip": (STICK_SLIP, TALL, 1.0),
     "load_transfer, coulomb": (DAMPED, TALL, 1.0),
 }
-LOCATED = {"name": "implicit", "tolerance": 1e-9, "capture_m": 1e-13}
 
 
-def run(seed: int, case: str, solver: dict[str, Any]) -> tuple[Floats | None, int, int]:
+def run(
+    seed: int, case: str, solver: dict[str, Any], off_m: float, span_s: float
+) -> tuple[Floats | None, int, int]:
     """Where a scene ends, None if it ends as unstable; its support changes; the steps attempted."""
     law, effects, volts = CASES[case]
-    plant, drives = make_chattering(seed, solver, law, effects, volts=volts, off_m=1e-11)
+    plant, drives = make_chattering(seed, solver, law, effects, volts=volts, off_m=off_m)
     try:
-        plant.advance(drives, round(SPAN_S * SECOND))
+        plant.advance(drives, round(span_s * SECOND))
     except PlantUnstable:
         return None, plant.support_changes, plant.effort
     return plant.state[0].copy(), plant.support_changes, plant.effort
@@ -66,19 +68,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--only", default="", help="cases whose names have this in them")
+    parser.add_argument(
+        "--off", type=float, default=1e-13, help="distance from the edge at first, m, at most"
+    )
+    parser.add_argument("--span", type=float, default=SPAN_S, help="s")
     asked = parser.parse_args()
-    print(METHOD.format(seeds=asked.seeds, span=SPAN_S))
+    located = {"name": "implicit", "tolerance": 1e-9, "capture_m": 1e-2 * asked.off}
+    print(METHOD.format(seeds=asked.seeds, span=asked.span, off=asked.off))
     print(
         f"{'':28} {'tolerance':>9} {'off: median':>12} {'worst':>9} {'changes':>8} {'steps':>8} {'unstable':>9}"
     )
     for case in CASES:
         if asked.only not in case:
             continue
-        known = [run(seed, case, LOCATED) for seed in range(asked.seeds)]
+        known = [run(seed, case, located, asked.off, asked.span) for seed in range(asked.seeds)]
         for tolerance in (1e-6, 1e-8, None):
             ends = known if tolerance is None else []
             if tolerance is not None:
-                ends = [run(seed, case, controlled(tolerance)) for seed in range(asked.seeds)]
+                solver = controlled(tolerance)
+                ends = [run(seed, case, solver, asked.off, asked.span) for seed in range(asked.seeds)]
             off = [
                 distance_m_of(end, right) / (tolerance or 1e-9)
                 for (end, _, _), (right, _, _) in zip(ends, known, strict=True)

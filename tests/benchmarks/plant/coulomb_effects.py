@@ -14,7 +14,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
-from tests.plant.laws import CONE, COULOMB
+from plant.friction.coulomb import Coulomb
+from tests.plant.laws import CONE, COULOMB, MU
 from tests.plant.scenes import SECOND, Floats
 from tests.plant.slipping import SPAN_S, controlled, distance_m_of, make_wide_scene
 
@@ -23,9 +24,12 @@ METHOD = """\
 Off: implicit from itself at {finest:g}, at the footprint, over the tolerance. Steps: attempted, of all scenes.
 Time: processor time of all scenes, once each.
 """
+STATIC = Coulomb(law="coulomb", coefficient=MU, static_coefficient=1.5 * MU, contact="isotropic")
 CASES = {
     "isotropic": (CONE, False, {}),
     "isotropic, motors": (CONE, True, {}),
+    "isotropic, static": (STATIC, False, {}),
+    "isotropic, static, motors": (STATIC, True, {}),
     "wheel_load": (COULOMB, True, {"wheel_load": {"inertia_kg": 0.05}}),
     "wheel_load, isotropic": (CONE, True, {"wheel_load": {"inertia_kg": 0.05}}),
     "contact_width": (COULOMB, False, {"contact_width": {"width_m": 0.012}}),
@@ -45,7 +49,7 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose names have this in them")
     asked = parser.parse_args()
     print(METHOD.format(seeds=asked.seeds, span=SPAN_S, spin=asked.spin, finest=asked.finest))
-    print(f"{'':22} {'tolerance':>9} {'off: median':>12} {'worst':>9} {'steps':>8} {'time, s':>9}")
+    print(f"{'':26} {'tolerance':>9} {'off: median':>12} {'worst':>9} {'steps':>8} {'time, s':>9}")
     for name, (law, motors, others) in CASES.items():
         if asked.only not in name:
             continue
@@ -65,7 +69,7 @@ def main() -> None:
                 off.append(distance_m_of(state, known.setdefault(seed, state)) / tolerance)
             if tolerance != asked.finest:
                 line = f"{tolerance:9.0e} {np.median(off):12.1e} {max(off):9.1e} {steps:8d} {spent:9.3f}"
-                print(f"{name:22} {line}")
+                print(f"{name:26} {line}")
 
 
 if __name__ == "__main__":

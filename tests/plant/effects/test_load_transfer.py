@@ -50,7 +50,7 @@ def carried(plant: Plant) -> tuple[NDArray[np.int64], Floats]:
     cells = listed[:, layout.CELL].astype(np.int64)
     offset = plant.array.positions_m[cells] - inner.y[:2] - seg[[layout.CX, layout.CY]]
     inverse = np.array([[seg[layout.PXX], seg[layout.PXY]], [seg[layout.PXY], seg[layout.PYY]]])
-    centre = solver._transfer.shift[0] - seg[[layout.CX, layout.CY]]  # type: ignore[attr-defined]
+    centre = solver._transfer.shift[0, 0] - seg[[layout.CX, layout.CY]]  # type: ignore[attr-defined]
     share = 1.0 / seg[layout.N_ACTIVE] + offset @ inverse @ centre
     return cells, np.where(listed[:, layout.MARK] == layout.ACTIVE, share, 0.0)
 
@@ -165,7 +165,7 @@ def test_traction_too_strong_for_a_narrow_parcel_tips_it_at_once_and_a_wider_one
 def test_a_parcel_carried_at_its_wheels_speed_has_its_loads_back() -> None:
     plant = tall(law=COULOMB)
     plant.advance(uniform(plant, 0.1), SECOND // 50)
-    shift = plant._solver._transfer.shift[0]  # type: ignore[attr-defined]
+    shift = plant._solver._transfer.shift[0, 0]  # type: ignore[attr-defined]
     assert shift == pytest.approx([-MU * HEIGHT, 0.0], abs=1e-9)
     plant.advance(uniform(plant, 0.1), SECOND)
     assert plant.state[0, 3:].tolist() == [0.1, 0.0, 0.0]
