@@ -106,11 +106,18 @@ def _opened(listen: list[str], keys: Path | None, *, insecure: bool) -> ZenohEnd
 def _serve(refusals: AccessLogMonitor | None, interruption: Interruption) -> None:
     """Wait for the end, and print each kind of denial once."""
     known: set[tuple[str, str]] = set()
-    interruption.is_idle = lambda: True
-    while True:
-        interruption.raise_if_requested()
-        time.sleep(_POLL_S)
+
+    def tell() -> None:
         if refusals is not None and refusals.fresh:
             for whose, what in sorted(refusals.counted().keys() - known):
                 known.add((whose, what))
                 say(f"denied: {whose}: {what}")
+
+    interruption.is_idle = lambda: True
+    try:
+        while True:
+            interruption.raise_if_requested()
+            time.sleep(_POLL_S)
+            tell()
+    finally:
+        tell()

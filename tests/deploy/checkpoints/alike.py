@@ -19,6 +19,7 @@ SCRATCH = {
     ("NeighbourList", "_there"): "where parcels were when it was made; one made anew has the same pairs",
     ("NeighbourList", "_centre"): "likewise",
     ("NeighbourList", "_pairs"): "likewise",
+    ("AllTransfer", "change"): "corrections of a pass, written before they are read",
     ("Spots", "_parcels"): "states are put in before they are looked at",
 }
 """Attributes that may differ, and why."""
@@ -42,13 +43,11 @@ def _compared(one: Any, other: Any, path: str, seen: set[tuple[int, int]]) -> It
             yield path
     elif isinstance(one, np.random.Generator):
         yield from _compared(one.bit_generator.state, other.bit_generator.state, path, seen)
-    elif isinstance(one, Mapping):
-        yield from _items(one, other, path, seen)
     elif isinstance(one, bool | int | float | str | bytes | set | frozenset | np.generic):
         if one != other:
             yield path
-    elif hasattr(one, "__len__") and hasattr(one, "__getitem__") and hasattr(one, "__iter__"):
-        yield from _items(dict(enumerate(one)), dict(enumerate(other)), path, seen)
+    elif (parts := _parts(one)) is not None:
+        yield from _items(parts, _parts(other) or {}, path, seen)
     if type(one).__module__.startswith(OURS):
         yield from _items(attributes(one), attributes(other), path, seen)
 
@@ -61,6 +60,18 @@ def _items(
         return
     for key in one:
         yield from _compared(one[key], other[key], f"{path}.{key}", seen)
+
+
+def _parts(values: Any) -> Mapping[Any, Any] | None:
+    """Items of a mapping or a sequence, fields of a named tuple without scratch; None of anything else."""
+    if isinstance(values, Mapping):
+        return values
+    if hasattr(values, "_asdict"):
+        kind = type(values).__name__
+        return {name: value for name, value in values._asdict().items() if (kind, name) not in SCRATCH}
+    if hasattr(values, "__len__") and hasattr(values, "__getitem__") and hasattr(values, "__iter__"):
+        return dict(enumerate(values))
+    return None
 
 
 def attributes(owner: Any) -> dict[str, Any]:
