@@ -34,10 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(sys.argv[1:] if arguments is None else arguments)
     finally:
         gc.set_threshold(*thresholds)
-        if (
-            arguments is None
-        ):  # the process ends: searching its objects for garbage would take a quarter of a second
-            gc.freeze()
+        if arguments is None:
+            gc.freeze()  # the process ends: searching its objects for garbage would take a quarter of a second
         for number, handler in before.items():
             if signal.getsignal(number) is _leave:  # else a command has had the last word on it
                 signal.signal(number, handler)

@@ -96,16 +96,21 @@ def test_a_folder_of_the_same_name_is_refused_in_a_line(name: str, tmp_path: Pat
     assert done.stderr.splitlines()[-1].startswith(f"ImportError: mdms needs its own package '{name}', but ")
 
 
-def test_the_command_works_beside_folders_of_the_same_names(tmp_path: Path) -> None:
-    for name in ("deploy", "plant"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text("raise ImportError('not this one')\n")
+def test_the_command_works_beside_files_and_folders_of_the_same_names(tmp_path: Path) -> None:
+    for name in ("deploy/__init__", "plant/__init__", "json", "queue", "random", "matplotlib", "zenoh"):
+        file = tmp_path / f"{name}.py"
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(
+            "import pathlib\npathlib.Path('imported').touch()\nraise ImportError('not this one')\n"
+        )
     done = subprocess.run(
         [str(Path(sys.executable).parent / "mdms"), "run", "motors", "--duration", "0.1", "--processes", "1",
-         "--output", "out", "--no-picture"],
+         "--output", "out"],
         cwd=tmp_path, capture_output=True, text=True, check=False, timeout=110,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "overview.png").exists()
+    assert not (tmp_path / "imported").exists()
 
 
 def test_the_package_is_the_command(tmp_path: Path) -> None:

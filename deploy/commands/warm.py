@@ -7,7 +7,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Annotated, NamedTuple
@@ -20,6 +19,7 @@ from deploy.errors import DeployError, InputError
 from deploy.scenes.files import bundled_names
 from deploy.scenes.scene import Scene
 from deploy.util.formatting import say, silent
+from deploy.util.own_python import module_command
 
 _POLL_S = 0.05
 
@@ -158,7 +158,7 @@ def _interrupted_after() -> Generator[None]:
 
 
 def _start(name: str, options: Sequence[str]) -> _Compiler:
-    command = [sys.executable, "-m", "deploy.cli", "warm", name, *options, "--json"]
+    command = module_command("deploy.cli", "warm", name, *options, "--json")
     # a session of its own: Ctrl-C is for this process, which ends the others
     process = subprocess.Popen(
         command,

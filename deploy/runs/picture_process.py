@@ -42,7 +42,7 @@ class PictureProcess:
         self._process: subprocess.Popen[bytes] | None = None
         with contextlib.suppress(OSError):  # then `draw` says so
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _DRAWER, json.dumps(sys.path)],
+                [sys.executable, "-P", "-c", _DRAWER, json.dumps(sys.path)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

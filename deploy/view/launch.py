@@ -15,6 +15,7 @@ from typing import Final, final
 
 from deploy.control.client import FILE_NAME, Address, discover
 from deploy.errors import DeployError, InputError
+from deploy.util.own_python import module_command
 
 _READY_S: Final = 300.0
 """Longest wait for a run to begin, wall seconds: the first run of a scene compiles kernels."""
@@ -37,7 +38,7 @@ class LaunchedRun:
     def __init__(self, arguments: Sequence[str], folder: Path) -> None:
         self.folder = folder
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "deploy.cli", "run", *arguments, "--output", str(folder)],
+            module_command("deploy.cli", "run", *arguments, "--output", str(folder)),
             stdin=subprocess.DEVNULL,
             start_new_session=True,
             preexec_fn=_end_with_parent,  # noqa: PLW1509 - there is no other thread yet

@@ -100,7 +100,7 @@ class WorkerPool:
         arguments = [json.dumps(sys.path), str(theirs.fileno()), str(writing), json.dumps(list(preload))]
         try:
             self._nursery = subprocess.Popen(
-                [sys.executable, "-c", _NURSERY, *arguments],
+                [sys.executable, "-P", "-c", _NURSERY, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=2,  # a firmware that prints must not spoil what the command prints
                 env=environment,

@@ -6,7 +6,6 @@ import copy
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -27,6 +26,7 @@ from deploy.errors import InputError
 from deploy.studies.firmware.purity import changed, outside_values, same, watching_calls
 from deploy.studies.firmware.setting import setting_of
 from deploy.studies.firmware.trial import Trace, run_trial
+from deploy.util.own_python import module_command
 
 _POISON = 0x5A
 
@@ -120,7 +120,7 @@ class FirmwareCheck:
         }
         ours = os.environ.get("PYTHONHASHSEED", "")
         done = subprocess.run(
-            [sys.executable, "-m", "deploy.studies.firmware.again"],
+            module_command("deploy.studies.firmware.again"),
             input=json.dumps(asked),
             capture_output=True,
             text=True,
