@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from bus.spec import BusSpec
 from cell_firmware.invariants import InvariantMonitor
 from cell_firmware.message_tracer import MessageTracer
 from cell_firmware.random_draws import CellStreams
@@ -87,6 +88,12 @@ def test_a_run_has_the_violations_of_a_lab(tmp_path: Path) -> None:
     found = _summary(scene, tmp_path, check="count")
     assert {one.kind for one in lab.violations} == {"always", "eventually"}
     assert found["check"]["first"] == [one.as_json() for one in lab.violations]
+
+
+def test_a_condition_is_due_later_where_messages_take_several_ticks(tmp_path: Path) -> None:
+    lab = Lab("hop_gradient", (1, 6), parameters={"goals": [{"cell": [0, 0]}], "limit": 6}, check=None)
+    late = {"bus": BusSpec(link_ticks=8), "duration_s": 250 * lab.scene.tick_ns / 10**9}
+    assert _summary(lab.scene.model_copy(update=late), tmp_path, check="stop")["status"] == "ok"
 
 
 def test_a_run_without_violations_is_ok_and_has_the_digest_of_one_that_is_not_checked(tmp_path: Path) -> None:
