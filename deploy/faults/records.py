@@ -18,30 +18,37 @@ OUT = ("remove", "add")
 """Kinds of faults whose cells are absent from the array while the fault is active."""
 
 
-def transition_record(
+def transition_records(
     one: FaultInstance[FaultSpec], tick: int, period_ns: int, names: Sequence[tuple[int, int]]
-) -> dict[str, Any]:
-    """A fault that begins or ends in a tick, as ``faults`` of a summary and ``/faults`` of a recording have it.
+) -> list[dict[str, Any]]:
+    """Return the transitions of a fault in a tick, as ``faults`` of a summary and ``/faults`` of a recording have them.
+
+    Both do if a live fault is repaired in the tick in which it begins.
 
     Args:
         one: Of the run.
-        tick: Its first, or its end.
+        tick: The tick.
         period_ns: Of a tick.
         names: ``(row, column)`` of every cell.
     """
     cells = [list(names[int(cell)]) for cell in one.cells]
-    phase = ("begins" if one.fault.repairable else "happens") if tick == one.start_tick else "ends"
-    return {
-        "time_s": tick * period_ns * 1e-9,
-        "kind": one.fault.kind_name,
-        "phase": phase,
-        "cell": cells[0] if len(cells) == 1 else None,
-        "cells": cells,
-        "tick": tick,
-        "detail": "live" if one.injected_at_runtime else "scheduled",
-        "fault": one.fault.model_dump(mode="json", exclude_none=True),
-        "number": one.number,
-    }
+    phases = ["begins" if one.fault.repairable else "happens"] if tick == one.start_tick else []
+    if tick == one.end_tick:
+        phases.append("ends")
+    return [
+        {
+            "time_s": tick * period_ns * 1e-9,
+            "kind": one.fault.kind_name,
+            "phase": phase,
+            "cell": cells[0] if len(cells) == 1 else None,
+            "cells": cells,
+            "tick": tick,
+            "detail": "live" if one.injected_at_runtime else "scheduled",
+            "fault": one.fault.model_dump(mode="json", exclude_none=True),
+            "number": one.number,
+        }
+        for phase in phases
+    ]
 
 
 def describe_faults(faults: Sequence[Mapping[str, Any]]) -> list[str]:

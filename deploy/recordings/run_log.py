@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 from bus.fault import transition_ticks
 from bus.state import StateFields
-from deploy.faults.records import transition_record
+from deploy.faults.records import transition_records
 from deploy.recordings.digest import Digest
 from deploy.recordings.losses import found, lines
 from deploy.recordings.mishaps import Mishaps
@@ -143,8 +143,7 @@ class RunLog:
         """Log the faults that begin or end."""
         self._turns.pop(0)
         for one in self._injected:
-            if tick in (one.start_tick, one.end_tick):
-                fault = transition_record(one, tick, self.period_ns, self.cells)
+            for fault in transition_records(one, tick, self.period_ns, self.cells):
                 self.faults.append(fault)
                 self._recorder.fault(fault)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import InputError
-from deploy.faults.records import transition_record
+from deploy.faults.records import transition_records
 from deploy.recordings.digest import Digest
 from deploy.recordings.mishaps import Mishaps
 from deploy.recordings.run_log import event_record
@@ -299,8 +299,8 @@ class _FieldSimulation:
         """Note what begins or ends now, as the scene says, and who dies."""
         names, period_ns = self.scene.lattice().cells, self.scene.tick_ns
         at_s, ended = tick * period_ns * 1e-9, bool(dead) and self.scene.stall.policy == "abort"
-        turning = () if ended else (one for one in self.lasting if tick in (one.start_tick, one.end_tick))
-        found = [transition_record(one, tick, period_ns, names) for one in turning]
+        turning = () if ended else self.lasting
+        found = [record for one in turning for record in transition_records(one, tick, period_ns, names)]
         for cell in dead:
             self.cells_lost.append(names[cell])
             found.append({"time_s": at_s, "kind": "crash", "cell": list(names[cell]), "detail": "scheduled"})

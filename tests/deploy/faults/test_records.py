@@ -9,7 +9,7 @@ import numpy as np
 from bus.fault import FaultInstance
 from cell_firmware.faults.kinds.reboot import RebootFault
 from deploy.faults.crash import CrashFault
-from deploy.faults.records import describe_faults, lost_for_good, out_of_array, plot_marks, transition_record
+from deploy.faults.records import describe_faults, lost_for_good, out_of_array, plot_marks, transition_records
 
 
 def fault(kind: str, phase: str, time_s: float, *cells: tuple[int, int], number: int = 0) -> dict[str, Any]:
@@ -86,7 +86,8 @@ def test_a_transition_of_a_fault_is_recorded_with_its_time_and_affected_cells() 
     fault = CrashFault(cells=((0, 1), (2, 3)), at_s=0.01)
     one = FaultInstance(7, fault, np.array([0, 2]), 5, 9)
     names = [(0, 1), (1, 1), (2, 3)]
-    assert transition_record(one, 5, 4_000_000, names) == {
+    (begins,) = transition_records(one, 5, 4_000_000, names)
+    assert begins == {
         "time_s": 0.02,
         "kind": "crash",
         "phase": "begins",
@@ -97,7 +98,10 @@ def test_a_transition_of_a_fault_is_recorded_with_its_time_and_affected_cells() 
         "fault": {"kind": "crash", "at_s": 0.01, "cells": [[0, 1], [2, 3]]},
         "number": 7,
     }
-    assert transition_record(one, 9, 4_000_000, names)["phase"] == "ends"
+    assert [record["phase"] for record in transition_records(one, 9, 4_000_000, names)] == ["ends"]
+    assert transition_records(one, 7, 4_000_000, names) == []
+    one.end_tick = 5
+    assert [record["phase"] for record in transition_records(one, 5, 4_000_000, names)] == ["begins", "ends"]
     once = FaultInstance(8, RebootFault(cell=(1, 1)), np.array([1]), 5, 9, injected_at_runtime=True)
-    record = transition_record(once, 5, 4_000_000, names)
+    (record,) = transition_records(once, 5, 4_000_000, names)
     assert (record["phase"], record["cell"], record["detail"]) == ("happens", [1, 1], "live")
