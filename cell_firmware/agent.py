@@ -219,19 +219,28 @@ class _Agent:
 
         In a process of one cell each call of a tick costs several times its usual time, so that there are few.
         """
-        member, tick = self._member, self._awaited
-        take, answer, step = member.take_payload, member.answer, self._shard.step_payload
-        while (payload := take(tick)) is not None:
+        member, step_payload = self._member, self._shard.step_payload
+        take, answer, is_direct = member.take_payload, member.answer, member.is_direct
+
+        def step(tick: int, payload: bytes) -> bytes | None:
             try:
-                done = step(codec, tick, payload)
+                done = step_payload(codec, tick, payload)
             except Exception as error:  # noqa: BLE001 - raised again where it is its cells' failure
                 done = error
-            if not isinstance(done, bytes):
-                self._done = done
+            if isinstance(done, bytes):
+                self._awaited = tick + 1
+                return done
+            self._done = done
+            return None
+
+        while self._done is None and (payload := take(self._awaited)) is not None:
+            drives = step(self._awaited, payload)
+            if drives is None:
                 member.gather_again(payload)
                 return
-            answer(done)
-            self._awaited = tick = tick + 1
+            answer(drives)
+            if is_direct:
+                member.answer_directly(self._awaited, step)
 
     def _result(self, ticks: int, detail: str) -> ShardResult:
         return ShardResult(ticks, detail, tuple(self._failures), self._member.stopped)

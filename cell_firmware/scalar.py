@@ -35,10 +35,14 @@ class ScalarFirmware(Firmware):
     """Firmware whose step is a kernel of one cell, in the module ``kernels``.
 
     A shard's tick is then a single call. ``init`` returns arrays, named as the fields of the module's ``STATE``.
+
+    Attributes:
+        is_brief: Whether a step always returns soon.
     """
 
     form: ClassVar[str] = "compiled"
     refuses_misfits: ClassVar[bool] = True  # messages are written as drafts of its own
+    is_brief: ClassVar[bool] = True
 
     def constants(self) -> Mapping[str, Any]:
         """Return the values of the record of constants, by field; none: they are zero."""

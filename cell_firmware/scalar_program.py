@@ -69,6 +69,7 @@ class ScalarProgram(ScalarFirmware):
     """
 
     compared_ticks: ClassVar[int] = COMPARED_TICKS
+    is_brief: ClassVar[bool] = False  # a program of a user may loop
     constants_type: ClassVar[np.dtype[Any]] = np.dtype([("none", "u1")])
     state_type: ClassVar[np.dtype[Any]]
 

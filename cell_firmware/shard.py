@@ -226,6 +226,12 @@ class Shard:
         self._drive = drive
         return ShardOutputs(drive, self.boundary_links, failures, hung)
 
+    @property
+    def is_brief(self) -> bool:
+        """Whether ``step_payload`` always returns soon: programs of users, which may loop, don't promise that."""
+        kernel = self._kernel
+        return kernel is not None and kernel.is_brief
+
     def payload_codec(self, layouts: Layouts) -> PayloadCodec | None:
         """Return the codec of the payloads that ``step_payload`` takes and returns; None if it takes none.
 

@@ -144,6 +144,7 @@ class ShardKernel:
     Attributes:
         buffers: Inputs and outputs of a tick.
         hangs: Whether a cell whose program fails hangs, to be reset by its watchdog.
+        is_brief: Whether a tick always returns soon.
         outboxes: Messages of the last ticks that are not read yet, oldest first; one list while a state is bound.
     """
 
@@ -159,6 +160,7 @@ class ShardKernel:
         module = self._module = firmware.scalar_kernels()
         self._compared_ticks = getattr(module, "compared_ticks", 0)
         self.hangs = controller.hangs
+        self.is_brief = firmware.is_brief
         self._controller = controller
         self._links = links
         self._cells, self._sensors, self._period_ns = links.cells, sensors, period_ns

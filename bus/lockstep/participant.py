@@ -32,8 +32,15 @@ from bus.wire.keys import plant_key, shard_key
 _POLL_S: Final = 0.01
 _ANSWER_S: Final = 1.0
 """Time that a shard whose cells have all failed waits for the plant's answer, wall seconds."""
+_DIRECT_BYTES: Final = 1 << 15
+"""Bytes of the largest payload that is sent by a thread of the transport: less than a batch of Zenoh's, 48 kB."""
 _LEAVE_S: Final = 5.0
 """Time to wait, after the run, for the plant to receive the counters, wall seconds."""
+
+
+def _is_small(layouts: tuple[PayloadLayout, PayloadLayout] | None) -> bool:
+    """Whether a shard has one payload each way, and its answer fits where the transport collects what it sends."""
+    return layouts is not None and len(layouts[1].constant) <= _DIRECT_BYTES
 
 
 @final
@@ -59,10 +66,12 @@ class Participant:
         cell_counters: Returns the cells' counters by name, reported as the shard leaves.
         keeps: Whether the plant may request snapshots.
         joins: Whether the shard joins a running simulation, at the tick that ``join`` returns.
+        direct: Whether plain ticks may be stepped in a thread of the transport: steps always return soon.
         clock: Monotonic wall seconds.
 
     Attributes:
         counters: Payloads of this side so far.
+        is_direct: Whether plain ticks are answered in a thread of the transport (``answer_directly``).
         drain_faults: Given a tick, returns the records of faults injected or repaired in it, or since the last call.
     """
 
@@ -83,6 +92,7 @@ class Participant:
         cell_counters: Callable[[], Mapping[str, int]] = dict[str, int],
         keeps: bool = False,
         joins: bool = False,
+        direct: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         wiring = RunSchema(run, partition, readings, message, latency)
@@ -105,6 +115,7 @@ class Participant:
         lives = self._lives = Membership(len(partition.lattice))
         self._incoming = InboundFrames(wiring, shard, self._form, lives, self.counters)
         self._only_key = self._incoming.single_key
+        self.is_direct = direct and wiring.lookahead == 0 and _is_small(self._form.layouts(0))
         self._outgoing = OutboundFrames(endpoint, wiring, shard, self._form, lives)
         self._membership = ParticipantMembership(
             partition.cells(shard), lives, self._incoming, self._outgoing, self.counters
@@ -116,7 +127,10 @@ class Participant:
         self._control.joining = joins
         self.drain_faults: Callable[[int], list[Control]] = self._control.drain_faults
         self._inbox = Dispatcher(endpoint, partition, self.counters, self._control.handle_token)
-        self._inbox.routes = {**self._incoming.subscribe(endpoint), control: (self._control.handle, 0)}
+        self._inbox.routes = {
+            **self._incoming.subscribe(endpoint, self.is_direct),
+            control: (self._control.handle, 0),
+        }
         endpoint.subscribe(control, "urgent")
         self._reports = ReportPublisher(
             endpoint.publisher(shard_key(run, shard, "report")), self.counters, cell_counters
@@ -407,6 +421,32 @@ class Participant:
         self._incoming.skip()
         self.counters.sent += 1
         self._outgoing.single.put(payload)
+
+    def answer_directly(self, tick: int, step: Callable[[int, bytes], bytes | None]) -> None:
+        """Have the payloads of plain ticks from ``tick`` on answered by ``step``, in a thread of the transport.
+
+        Call it after ``answer``: what this thread has sent before has then left the process, so that an answer never
+        waits in the transport for the thread that gives it. The call may return early.
+
+        Args:
+            tick: The next tick.
+            step: From a tick and its senses to its drives; None: the payload is left for ``take_payload`` or
+                ``gather``. Called while this call waits.
+        """
+        self._tick = tick
+
+        def take(payload: bytes) -> bool:
+            tick = self._tick
+            if tick >= self._plain_end or self._clock() >= self._registers.next_look:
+                return False
+            drives = step(tick, payload)
+            if drives is None:
+                return False
+            self.answer(drives)
+            self._tick = tick + 1
+            return True
+
+        self._endpoint.answer_payloads(self._only_key, take)
 
     def gather_again(self, payload: bytes) -> None:
         """Hand a payload back, for ``gather`` to find."""

@@ -77,10 +77,15 @@ class InboundFrames:
         self._senses = FrameAssembler("sense", form.blank_senses, form.decode_sense, counts)
         self._links = FrameAssembler("link", form.blank_links, form.decode_link, counts)
 
-    def subscribe(self, endpoint: Endpoint) -> dict[str, Route]:
-        """Subscribe to all inbound keys, and return the handler of each."""
+    def subscribe(self, endpoint: Endpoint, direct: bool) -> dict[str, Route]:
+        """Subscribe to all inbound keys, and return the handler of each.
+
+        Args:
+            endpoint: The endpoint.
+            direct: Whether the senses may be answered in a thread of the transport.
+        """
         for key in self._form.sense_units:
-            endpoint.subscribe(key)
+            endpoint.subscribe(key, direct=direct)
         # The plant senses again only when all drives have come, and messages are put before drives: they are there
         # when the senses are.
         for key in self._form.in_parts:

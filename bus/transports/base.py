@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Literal, NamedTuple
 
 
@@ -77,13 +77,15 @@ class Endpoint(ABC):
         """Put each payload with its publisher, all of this endpoint, in quick succession."""
 
     @abstractmethod
-    def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
+    def subscribe(self, key_expr: str, haste: Urgency = "wake", *, direct: bool = False) -> None:
         """Subscribe to matching keys; subscribing to the same expression twice is a no-op.
 
         Args:
             key_expr: A key, or a pattern: ``*`` is one chunk, ``**`` any number of them.
             haste: Effect of a payload on a waiting ``receive``: ``"wake"`` counts towards ``enough``; ``"urgent"`` ends
                 the wait; ``"quiet"`` neither counts nor ends the wait. Quiet payloads come first when the wait ends.
+            direct: Whether ``answer_payloads`` may answer in a thread of the transport; for the first subscription of
+                ``"wake"``, to a key.
 
         Raises:
             TransportError: The expression overlaps another subscription of this endpoint.
@@ -140,6 +142,22 @@ class Endpoint(ABC):
             return event.payload
         self._rest = events
         return None
+
+    def answer_payloads(self, key: str, answer: Callable[[bytes], bool]) -> None:
+        """Have ``answer`` take payloads of ``key`` as they come, until it refuses one or anything else comes.
+
+        The call may return early. A refused payload, and whatever else came, is left for later calls.
+
+        Args:
+            key: The key.
+            answer: Returns whether it took a payload. Called in one thread at a time, while this call waits: in this
+                thread or, of a ``direct`` subscription, in one of the transport's, which does nothing else before it
+                returns. What it raises is raised here.
+        """
+        while (payload := self.receive_payload(key)) is not None:
+            if not answer(payload):
+                self._rest = [Received(key, payload)]
+                return
 
     @abstractmethod
     def wake(self) -> None:

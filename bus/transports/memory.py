@@ -194,7 +194,7 @@ class MemoryEndpoint(Endpoint):
         for publisher, payload in puts:
             publisher.put(payload)
 
-    def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
+    def subscribe(self, key_expr: str, haste: Urgency = "wake", *, direct: bool = False) -> None:  # noqa: ARG002 - one thread
         """Subscribe to matching keys."""
         self.check_open()
         if key_expr in self.subscriptions:

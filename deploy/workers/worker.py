@@ -223,6 +223,7 @@ def open_participant(order: WorkerConfig, shard: int, endpoint: Endpoint, cells:
         cell_counters=cells.counters,
         keeps=order.snapshots,
         joins=order.joins_running,
+        direct=cells.is_brief,
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 from tests.bus.support import Network
 
 
-@pytest.fixture(params=["memory", "zenoh"])
+@pytest.fixture(params=["memory", "zenoh", "zenoh, direct"])
 def network(request: pytest.FixtureRequest) -> Iterator[Network]:
     """Each transport in turn."""
     network = Network(request.param)

@@ -46,6 +46,11 @@ class Network:
             endpoint = hub
         else:
             endpoint = open_client(self.locator)
+            if self.name == "zenoh, direct":
+                whole = endpoint.subscribe
+                endpoint.subscribe = lambda key, haste="wake", *, direct=False: whole(
+                    key, haste, direct="*" not in key
+                )
         self._endpoints.append(endpoint)
         return endpoint
 
@@ -88,8 +93,8 @@ class ClockedEndpoint(Endpoint):
     def put_all(self, puts: Iterable[tuple[Publisher, bytes]]) -> None:
         self._inner.put_all(puts)
 
-    def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
-        self._inner.subscribe(key_expr, haste)
+    def subscribe(self, key_expr: str, haste: Urgency = "wake", *, direct: bool = False) -> None:
+        self._inner.subscribe(key_expr, haste, direct=direct)
 
     def declare_alive(self, key: str) -> None:
         self._inner.declare_alive(key)
@@ -125,6 +130,7 @@ class System:
     wanted: Sequence[RegisterRequest] = ()
     latency: BusSpec = NO_LATENCY
     keeps: bool = False
+    direct: bool = False
 
     def __post_init__(self) -> None:
         self.endpoint = self._clocked(self.network.endpoint())
@@ -137,6 +143,7 @@ class System:
                 shard,
                 self.form,
                 cell_counters=self._cell_counters(shard),
+                direct=self.direct,
                 **self._agreed(),
             )
             for shard, endpoint in enumerate(self.member_endpoints)

@@ -306,6 +306,93 @@ def test_a_payload_that_does_not_come_alone_is_left_with_the_others(network: Net
     assert cell.receive_payload("t/a") == b"2"
 
 
+def test_payloads_are_answered_as_they_come_until_one_is_refused(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    cell.subscribe("t/a")
+    plant.subscribe("t/answer")
+    publisher, back = plant.publisher("t/a"), cell.publisher("t/answer")
+    settle(publisher, cell)
+    settle(back, plant)
+    running, overlaps = threading.Lock(), list[bytes]()
+
+    def answer(payload: bytes) -> bool:
+        if not running.acquire(blocking=False):
+            overlaps.append(payload)
+        if payload != b"no":
+            back.put(payload)
+        running.release()
+        return payload != b"no"
+
+    def sender() -> None:
+        for i in range(200):
+            publisher.put(b"%d" % i)
+            assert plant.receive(5.0) == Received("t/answer", b"%d" % i)
+        publisher.put(b"no")
+        publisher.put(b"later")
+
+    thread = threading.Thread(target=sender)
+    thread.start()
+    left = list[Event]()
+    while not left:
+        cell.answer_payloads("t/a", answer)
+        left = cell.receive_all(0.0)
+    thread.join()
+    left += drain(cell, lambda events: len(left) + len(events) == 2)
+    assert left == [Received("t/a", b"no"), Received("t/a", b"later")]
+    assert overlaps == []
+
+
+def test_no_payload_is_answered_before_an_urgent_one_that_was_put_before_it(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    cell.subscribe("t/a")
+    cell.subscribe("t/urgent", "urgent")
+    publisher, urgent = plant.publisher("t/a"), plant.publisher("t/urgent")
+    for one in (publisher, urgent):
+        settle(one, cell)
+    answered, left = list[bytes](), list[Event]()
+
+    def answer(payload: bytes) -> bool:
+        answered.append(payload)
+        return True
+
+    for i in range(50):
+        thread = threading.Thread(target=lambda i=i: (urgent.put(b"%d" % i), publisher.put(b"%d" % i)))
+        thread.start()
+        while len(left) < 2 * i + 2:
+            cell.answer_payloads("t/a", answer)
+            left += cell.receive_all(0.0)
+            if len(left) == 2 * i + 1:  # the payload is under way
+                left += drain(cell, lambda events: len(events) == 1)
+        thread.join()
+    assert answered == []
+    for i in range(50):
+        assert set(left[2 * i : 2 * i + 2]) == {Received(key, b"%d" % i) for key in ("t/urgent", "t/a")}
+
+
+def test_answers_end_for_a_wakeup_and_raise_what_the_callee_raises(network: Network) -> None:
+    plant, cell = network.endpoint(), network.endpoint()
+    cell.subscribe("t/a")
+    publisher = plant.publisher("t/a")
+    settle(publisher, cell)
+    cell.wake()
+    cell.answer_payloads("t/a", lambda payload: True)
+    assert cell.receive_all(0.0) == [Wakeup()]
+
+    def fail(payload: bytes) -> bool:
+        raise ValueError(payload.decode())
+
+    def answer_all() -> None:
+        while True:  # a payload that comes before the wait is not answered in it
+            timer = threading.Timer(0.02, publisher.put, (b"broken",))
+            timer.start()
+            cell.answer_payloads("t/a", fail)
+            cell.receive_all(0.0)
+            timer.join()
+
+    with pytest.raises(ValueError, match="broken"):
+        answer_all()
+
+
 def test_closing_twice_is_harmless_and_a_closed_endpoint_says_so(network: Network) -> None:
     endpoint = network.endpoint()
     publisher = endpoint.publisher("t/a")

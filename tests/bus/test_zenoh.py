@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import signal
 import socket
 import struct
@@ -13,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import msgpack
@@ -36,7 +38,7 @@ from bus.transports.zenoh import (
 )
 from bus.transports.zenoh.endpoint import ZenohEndpoint, free_port
 from bus.transports.zenoh.linger import LingerReset, tcp_ports
-from bus.transports.zenoh.receive import drain as drain_channels
+from bus.transports.zenoh.receive import Channel
 from tests.bus.support import Network, System, drain, grid, payloads, settle, tokens
 
 ROOT = str(Path(__file__).resolve().parents[2])
@@ -324,6 +326,73 @@ def test_a_signal_handler_runs_while_the_main_thread_waits() -> None:
         hub.close()
 
 
+def test_a_signal_handler_runs_while_payloads_are_answered() -> None:
+    class Interrupted(Exception):
+        pass
+
+    def handler(number: int, frame: object) -> None:
+        raise Interrupted
+
+    hub = open_hub()
+    hub.subscribe("t/a", direct=True)
+    before = signal.signal(signal.SIGALRM, handler)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        with pytest.raises(Interrupted):
+            hub.answer_payloads("t/a", lambda payload: True)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+        hub.close()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_payloads_keep_their_order_however_the_reader_takes_them(seed: int) -> None:
+    """The reader has payloads answered in Zenoh's thread, waits for one, or looks, in turns; some answers refuse."""
+    total, choose = 1500, random.Random(seed)
+    hub = open_hub()
+    cell = open_client(hub.locator)
+    cell.subscribe("t/a", direct=True)
+    publisher = hub.publisher("t/a")
+    settle(publisher, cell)
+    found, threads = list[int](), set[int]()
+
+    def take(payload: bytes) -> bool:
+        if choose.random() < 0.1:
+            return False
+        found.append(int(payload))
+        threads.add(threading.get_ident())
+        return True
+
+    def sender() -> None:
+        for i in range(total):
+            publisher.put(b"%d" % i)
+            if i % 3 == 0:
+                time.sleep(0.001)
+
+    thread = threading.Thread(target=sender)
+    thread.start()
+    deadline = time.monotonic() + 20.0
+    while len(found) < total and time.monotonic() < deadline:
+        timer = threading.Timer(0.5, cell.wake)  # the last payload may have been answered already
+        timer.start()
+        match choose.randrange(3):
+            case 0:
+                cell.answer_payloads("t/a", take)
+            case 1:
+                if (payload := cell.receive_payload("t/a")) is not None:
+                    found.append(int(payload))
+            case _:
+                found += map(int, payloads(cell.receive_all(0.0)))
+        timer.cancel()
+    thread.join()
+    for endpoint in (cell, hub):
+        endpoint.close()
+    assert found == list(range(total))
+    assert threads
+    assert threading.get_ident() not in threads
+
+
 def test_a_wait_for_payloads_ends_with_its_time() -> None:
     hub = open_hub()
     try:
@@ -435,11 +504,9 @@ def test_a_flood_does_not_keep_its_reader_for_ever() -> None:
         kind = zenoh.SampleKind.PUT
 
     class Endless:
-        key = "t/flood"
+        handler = SimpleNamespace(recv=Sample, try_recv=Sample)
 
-        def try_recv(self) -> Sample:
-            return Sample()
-
+    session = SimpleNamespace(declare_subscriber=lambda key, handler: Endless())
     events: list[Event] = []
-    drain_channels(cast("Any", Endless()), events)
+    Channel(cast("Any", session), "t/flood").drain(events)
     assert len(events) == 65_536

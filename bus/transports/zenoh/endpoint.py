@@ -153,13 +153,13 @@ class ZenohEndpoint(Endpoint):
         except zenoh.ZError as error:
             raise TransportError(f"put: {first_line(error)}") from None
 
-    def subscribe(self, key_expr: str, haste: Urgency = "wake") -> None:
+    def subscribe(self, key_expr: str, haste: Urgency = "wake", *, direct: bool = False) -> None:
         """Subscribe to matching keys."""
         self.check_usable()
         if key_expr in self._subscribed:
             return
         check_overlap(key_expr, self._subscribed)
-        self._mail.subscribe(key_expr, haste)
+        self._mail.subscribe(key_expr, haste, direct)
         self._subscribed.append(key_expr)
 
     def declare_alive(self, key: str) -> None:
@@ -206,6 +206,14 @@ class ZenohEndpoint(Endpoint):
             self._rest = [Received(key, payload)]
             return None
         return payload
+
+    def answer_payloads(self, key: str, answer: Callable[[bytes], bool]) -> None:
+        """Have ``answer`` take payloads of ``key`` as they come, in Zenoh's thread if they are subscribed to so."""
+        if self.closed or self.forks != _forks:
+            self.check_usable()
+        mail = self._mail
+        if self._rest or not mail.has_one_source(key) or not mail.answer_payloads(answer):
+            super().answer_payloads(key, answer)
 
     def wake(self) -> None:
         """Put one ``Wakeup`` in the inbox."""

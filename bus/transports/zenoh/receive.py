@@ -8,9 +8,7 @@ one of them, outside Python. That wait has no timeout and covers no other channe
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import functools
-import os
 import queue
 import threading
 import time
@@ -22,6 +20,8 @@ from zenoh import handlers  # pyright: ignore[reportMissingModuleSource] - its s
 
 from bus.errors import TransportError
 from bus.transports.base import Event, Received, Urgency
+from bus.transports.zenoh.direct import DirectChannel
+from bus.transports.zenoh.receiving_thread import keep_state
 
 PRECISION_S: Final = 0.1
 
@@ -77,7 +77,6 @@ class Channel:
 
     Attributes:
         key: The key, where only one can match, so that samples need not be asked.
-        try_recv: Zenoh's own: a sample, or None where there is none.
     """
 
     def __init__(self, session: zenoh.Session, key_expr: str) -> None:
@@ -85,7 +84,7 @@ class Channel:
         self._subscriber = session.declare_subscriber(key_expr, handlers.FifoChannel(_CAPACITY))
         handler = cast("Any", self._subscriber.handler)
         self._recv: Callable[[], zenoh.Sample] = handler.recv
-        self.try_recv: Callable[[], zenoh.Sample | None] = handler.try_recv
+        self._try_recv: Callable[[], zenoh.Sample | None] = handler.try_recv
         self.key = None if "*" in key_expr else key_expr
         self._bell = key_expr.replace("**", "bell").replace("*", "bell")
 
@@ -113,25 +112,20 @@ class Channel:
         with contextlib.suppress(zenoh.ZError):  # The session may be closed already.
             cast("Any", self._session).delete(self._bell, allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
-
-def drain(channel: Channel, events: list[Event]) -> None:
-    """Add the payloads present, at most the channel's capacity, so that fast senders can't prolong the call."""
-    key, try_recv = channel.key, channel.try_recv
-    for _ in range(_CAPACITY):
-        if (sample := try_recv()) is None:
-            break
-        payload = sample.payload.to_bytes()
-        if payload or sample.kind == zenoh.SampleKind.PUT:
-            events.append(received((key or str(sample.key_expr), payload)))
+    def drain(self, events: list[Event]) -> None:
+        """Add the payloads present, at most the channel's capacity, so that fast senders can't prolong the call."""
+        key, try_recv = self.key, self._try_recv
+        for _ in range(_CAPACITY):
+            if (sample := try_recv()) is None:
+                break
+            payload = sample.payload.to_bytes()
+            if payload or sample.kind == zenoh.SampleKind.PUT:
+                events.append(received((key or str(sample.key_expr), payload)))
 
 
 _SHORT_S: Final = 0.1
 """A wait up to this long looks every millisecond; a longer one may be late by the alarm's precision."""
 _LOOK_S: Final = 0.001
-
-_held: set[int] = set()
-"""Receiving threads that keep their Python state."""
-os.register_at_fork(after_in_child=_held.clear)  # those threads are not in the child
 
 
 @final
@@ -145,10 +139,10 @@ class ReceiveQueue:
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._news: queue.SimpleQueue[Event] = queue.SimpleQueue()
-        self._main: Channel | None = None
-        self._waking: list[Channel] = []
+        self._main: Channel | DirectChannel | None = None
+        self._waking: list[Channel | DirectChannel] = []
         self._quiet: dict[str, Channel] = {}
-        self._awaited: Channel | None = None
+        self._awaited: Channel | DirectChannel | None = None
         """The channel that the reader waits in, now or at its next wait."""
         self._subscribers: list[object] = []
         self._alarm = WakeupTimer(self._ring)
@@ -160,14 +154,18 @@ class ReceiveQueue:
 
     def enqueuer(self, take: Callable[[zenoh.Sample], Event]) -> handlers.Callback[zenoh.Sample]:
         """A handler that makes news of each sample."""
-        return handlers.Callback(_keep_state(lambda sample: self.enqueue(take(sample))), indirect=False)
+        return handlers.Callback(keep_state(lambda sample: self.enqueue(take(sample))), indirect=False)
 
-    def subscribe(self, key_expr: str, haste: Urgency) -> None:
+    def subscribe(self, key_expr: str, haste: Urgency, direct: bool = False) -> None:
         """Subscribes. The reader sleeps in the first channel that is to wake it; what any other brings is news."""
         if haste == "quiet":
             self._quiet[key_expr] = Channel(self._session, key_expr)
         elif haste == "wake" and self._main is None:
-            self._main = self._awaited = Channel(self._session, key_expr)
+            if direct:
+                self._main = DirectChannel(self._session, key_expr, self._news.empty)
+            else:
+                self._main = Channel(self._session, key_expr)
+            self._awaited = self._main
             self._waking.append(self._main)
         else:
             self._subscribers.append(self._session.declare_subscriber(key_expr, self.enqueuer(_payload)))
@@ -199,7 +197,7 @@ class ReceiveQueue:
                 break
             left = None if until is None else until - time.monotonic()
         for channel in self._quiet.values():
-            drain(channel, quiet)
+            channel.drain(quiet)
         return quiet + data + news
 
     def has_one_source(self, key: str) -> bool:
@@ -217,6 +215,15 @@ class ReceiveQueue:
         assert main is not None, "this is a bug: a wait for payloads without a source"
         return main.next()
 
+    def answer_payloads(self, answer: Callable[[bytes], bool]) -> bool:
+        """Have payloads answered in Zenoh's thread; see ``Endpoint``. False: the source's are not."""
+        main = self._main
+        if not isinstance(main, DirectChannel):
+            return False
+        self._awaited = main
+        main.serve(answer)
+        return True
+
     def close(self) -> None:
         """End the timer's thread."""
         self._alarm.close()
@@ -226,7 +233,7 @@ class ReceiveQueue:
         empty = self._news.empty
         while True:
             for channel in self._waking:
-                drain(channel, data)
+                channel.drain(data)
             if empty():
                 return
             while not empty():
@@ -265,22 +272,3 @@ class ReceiveQueue:
 
 def _payload(sample: zenoh.Sample) -> Event:
     return received((str(sample.key_expr), sample.payload.to_bytes()))
-
-
-def _keep_state(call: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], Any]:
-    """``call``, made cheap for Zenoh's own threads.
-
-    CPython gives a thread that it did not start a new state, and that state new memory pages, for every call into
-    Python: a page fault and about 40 µs a sample. One hold that is never released lets the thread keep the
-    state of its first call. There are few such threads and they live as long as the process.
-    """
-    hold = ctypes.pythonapi.PyGILState_Ensure
-
-    def held_call(sample: zenoh.Sample) -> None:
-        thread = threading.get_ident()
-        if thread not in _held:
-            _held.add(thread)
-            hold()
-        call(sample)
-
-    return held_call

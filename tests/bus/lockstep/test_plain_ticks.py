@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from bus.errors import WaitInterrupted
 from bus.lockstep import Participant
 from bus.lockstep.registers import decode_registers
 from bus.partition import Partition
+from bus.spec import NO_LATENCY, BusSpec
+from bus.wire.formats import WireFormat
 from bus.wire.frames import Control
 from tests.bus.support import MESSAGE, FakeClock, Network, System, grid, payloads, settle
 
@@ -186,3 +189,95 @@ def test_a_wakeup_ends_the_wait_for_a_payload(system: System) -> None:
     system.member_endpoints[0].wake()
     with pytest.raises(WaitInterrupted):
         system.members[0].take_payload(1)
+
+
+@pytest.fixture
+def direct() -> Iterator[System]:
+    """Three shards of one cell over Zenoh, whose steps return soon."""
+    network = Network("zenoh")
+    yield System(network, Partition.even(grid(1, 3), 3), "relayed", MESSAGE, direct=True).start()
+    network.close()
+
+
+def test_plain_ticks_are_answered_in_a_thread_of_the_transport(direct: System) -> None:
+    """Until a control record comes, before the payload of its tick."""
+    run_tick(direct, 0, plain=True)
+    member, threads, ticks = direct.members[0], set[int](), list[int]()
+    codec = member._form
+
+    def step(tick: int, payload: bytes) -> bytes:
+        threads.add(threading.get_ident())
+        ticks.append(tick)
+        assert codec.decode_sense(0, payload)[0] == tick
+        return codec.drive_payloads(direct.drive(0, tick), direct.links(0, tick))[0]
+
+    reader = threading.Thread(target=_answer, args=(member, step, lambda: ticks[-1:] == [5]))
+    reader.start()
+    for tick in range(1, 7):
+        if tick == 6:
+            direct.host.control(Control("fault", 6, ((0, 0),), "{}"))
+        direct.host.publish(direct.sense(tick))
+        for shard in (1, 2):
+            gather(direct, tick, shard)
+        if tick == 6:
+            reader.join(5.0)
+            assert not reader.is_alive()
+            gather(direct, 6, 0)
+        drive, losses = direct.host.gather(tick)
+        assert not losses
+        assert (drive.drive[0] == direct.drive(0, tick).drive).all()
+    assert [fault.kind for fault in member.drain_faults(6)] == ["fault"]
+    assert ticks == [1, 2, 3, 4, 5]
+    assert threads
+    assert not threads & {reader.ident, threading.get_ident()}
+    assert (member.counters.sent, member.counters.lost) == (7, 0)
+
+
+def test_a_step_that_leaves_its_payload_has_it_gathered(direct: System) -> None:
+    run_tick(direct, 0, plain=True)
+    asked = list[int]()
+
+    def step(tick: int, payload: bytes) -> None:
+        asked.append(tick)
+
+    reader = threading.Thread(target=_answer, args=(direct.members[0], step, lambda: bool(asked)))
+    reader.start()
+    direct.host.publish(direct.sense(1))
+    reader.join(5.0)
+    assert not reader.is_alive()
+    for shard in range(3):
+        gather(direct, 1, shard)
+    assert (direct.host.gather(1)[0].drive[0] == direct.drive(0, 1).drive).all()
+
+
+def _answer(
+    member: Participant, step: Callable[[int, bytes], bytes | None], is_over: Callable[[], bool]
+) -> None:
+    """Have plain ticks answered until it is over; a payload that comes between two calls is answered here."""
+    tick = 1
+    while not is_over():
+        member.answer_directly(tick, step)
+        tick = member._tick
+        if not is_over() and (payload := member.take_payload(tick)) is not None:
+            drives = step(tick, payload)
+            if drives is None:
+                member.gather_again(payload)
+                return
+            member.answer(drives)
+            tick += 1
+
+
+def is_direct(cells: Partition, form: WireFormat, latency: BusSpec = NO_LATENCY, direct: bool = True) -> bool:
+    system = System(Network("memory"), cells, form, MESSAGE, latency=latency, direct=direct)
+    return system.members[0].is_direct
+
+
+def test_answers_are_not_given_in_the_transport_where_they_might_wait_there() -> None:
+    """Payloads that come before the last answer has left, and answers too large for the transport's memory."""
+    cells = Partition.even(grid(1, 3), 3)
+    assert is_direct(cells, "relayed")
+    assert not is_direct(cells, "relayed", direct=False)
+    assert not is_direct(cells, "packed")  # messages come in payloads of their own
+    assert not is_direct(cells, "relayed", BusSpec(link_ticks=3, sense_to_drive_ticks=2))
+    for side, small in ((40, True), (50, False)):  # 16 bytes a cell
+        assert is_direct(Partition.even(grid(side, side), 1), "packed") == small
