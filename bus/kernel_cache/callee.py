@@ -114,7 +114,13 @@ class CalleeCompiler(CompilerBase):
 
 _PIPELINE = {"pipeline_class": CalleeCompiler} if TRIED[0] <= numba.version_info[:2] <= TRIED[1] else {}
 
-kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False, **_PIPELINE)
+_OPTIONS = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
+
+kernel = njit(**_OPTIONS, **_PIPELINE)
 """Decorator of a kernel that other kernels call. No fused multiply-add, no reordering (``fastmath`` off): the same bits
 on every run. No wrappers for calls from Python: they would double the compiling time. No reference counts (``_nrt``):
 kernels allocate nothing, and counting cost a fifth of the time."""
+
+inlined = njit(forceinline=True, **_OPTIONS, **_PIPELINE)
+"""As ``kernel``, of one that becomes part of each caller: arrays as arguments are numbers, some of which a call puts into
+memory and the callee takes from there again. With thirty arrays that takes longer than a cell's tick."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from cell_firmware.kernels import lines, watchdog
 from cell_firmware.kernels.clock import due
-from cell_firmware.kernels.jit import kernel
+from cell_firmware.kernels.jit import inlined, kernel
 from cell_firmware.kernels.messages import copy
 from cell_firmware.kernels.speed_loop import drive_wheel
 
@@ -48,7 +48,7 @@ def read_ns(k, clocks, i, window, now_ns):
     return due(k.period_ns, k.window_ns, clocks[i].ppb, clocks[i].phase_ns, window, clocks[i].count)
 
 
-@kernel
+@inlined
 def begin_cell(
     k, link, i, tick, now_ns, clocks, watches, cells, waiting, there, line_received, line, received, message
 ):
@@ -97,7 +97,7 @@ def count(meter, received, sent):
         meter.sent += sent[side] and meter.neighbours[side] != 0
 
 
-@kernel
+@inlined
 def end_cell(
     k, link, loop, i, tick, clocks, watches, wheels, cells, meters, waiting, going,
     at_ns, runs, received, speed_m_s, failed, served, sent, message, encoder_m, drive, line_sent, line,

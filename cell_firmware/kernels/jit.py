@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numba import from_dtype, njit, types
 
-from bus.kernel_cache.callee import kernel
+from bus.kernel_cache.callee import inlined, kernel
 from bus.kernel_cache.locator import disk_cached
 from cell_firmware.kernels import wide  # noqa: F401 - tells the compiler how drafts are written
 
-__all__ = ["BOOLEAN", "INTEGER", "REAL", "entry", "kernel", "read", "written"]
+__all__ = ["BOOLEAN", "INTEGER", "REAL", "entry", "inlined", "kernel", "read", "written"]
 
 
 def entry(*arguments: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

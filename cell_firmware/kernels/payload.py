@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cell_firmware.kernels.jit import INTEGER, entry, kernel, read, written
-from cell_firmware.kernels.memory import array_at
+from cell_firmware.kernels.memory import array_at, copy_memory
 
 FIELD = np.dtype(
     [
@@ -97,8 +97,7 @@ def read_payload(tick, payload, constant, tick_at, tick_bytes, fields, booleans)
                 return False
             continue
         buffer = array_at(field.buffer, field.size, BYTE)
-        for b in range(field.size):
-            buffer[b] = payload[field.start + b]
+        copy_memory(payload[field.start : field.start + field.size], buffer)
         if field.truth:
             for b in range(field.size):
                 if buffer[b] > 1:
@@ -131,5 +130,4 @@ def write_payload(tick, tick_at, tick_bytes, fields, payload):
     for f in range(len(fields)):
         field = fields[f]
         buffer = array_at(field.buffer, field.size, BYTE)
-        for b in range(field.size):
-            payload[field.start + b] = buffer[b]
+        copy_memory(buffer, payload[field.start : field.start + field.size])

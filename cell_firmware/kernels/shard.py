@@ -17,7 +17,7 @@ from cell_firmware.kernels.cell import BOARD, METER, begin_cell, end_cell, read_
 from cell_firmware.kernels.clock import CLOCK, count_before, due
 from cell_firmware.kernels.debounce import debounced
 from cell_firmware.kernels.draws import draw_cell
-from cell_firmware.kernels.jit import INTEGER, entry, kernel, read, written
+from cell_firmware.kernels.jit import INTEGER, entry, inlined, kernel, read, written
 from cell_firmware.kernels.memory import array_at, clear_memory, copy_memory
 from cell_firmware.kernels.program import inputs_type, outputs_type
 from cell_firmware.kernels.speed_loop import LOOP, WHEELS
@@ -150,7 +150,7 @@ def any_reset(k, s, window, now_ns, clocks, watches):
     return False
 
 
-@kernel
+@inlined
 def read_bits(s, row, window, bits, believed, readings, presence):
     """Read a cell's presence bits, debounced.
 
@@ -186,7 +186,7 @@ def read_bits(s, row, window, bits, believed, readings, presence):
         presence[sensor] = believed[row, sensor]
 
 
-@kernel
+@inlined
 def collect_cell(row, source, sent, outbox, border_received, border, received, message):
     """Collect what a cell's links carry, from the last tick's outbox of the shard and from its border.
 
