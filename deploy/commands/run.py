@@ -49,7 +49,8 @@ WireOption = Annotated[
         rich_help_panel=EXECUTION_PANEL,
         help="packed: one array per worker and border; relayed: one payload per worker each way, messages to "
         "neighbours pass the plant; per_cell: one key per cell and link, for use with any Zenoh tool. Default: that of "
-        "--keys, or packed; with --processes each relayed, or per_cell if --listen or --join is given.",
+        "--keys; else relayed with several processes; else packed. With --listen or --join packed, and per_cell with "
+        "--processes each.",
     ),
 ]
 ListenOption = Annotated[

@@ -203,7 +203,7 @@ def plan(scene: Scene, options: RunOptions, run: str) -> Plan:
         setting=setting,
         workers=workers,
         transport=options.transport,
-        wire=options.wire or _wire(options, setting, about),
+        wire=options.wire or _wire(options, setting, workers, about),
         partition=partition,
         processes=tuple(
             _processes_of(
@@ -286,16 +286,16 @@ def _about_keys(options: RunOptions) -> KeyManifest | None:
     return Keyring(options.keys).about
 
 
-def _wire(options: RunOptions, setting: Processes, about: KeyManifest | None) -> WireFormat:
+def _wire(options: RunOptions, setting: Processes, workers: int, about: KeyManifest | None) -> WireFormat:
     """Return the wire format of a run whose options name none."""
     if about is not None:
         return about.wire
-    if setting != "each":
-        return "packed"
     # Whoever is given an address may be any tool, or hardware: these read maps of single cells.
     by_others = options.external and options.cluster is None
     private = options.listen is None and options.join is None and not by_others
-    return "relayed" if private else "per_cell"
+    if setting == "each":
+        return "relayed" if private else "per_cell"
+    return "relayed" if private and workers > 1 and options.cluster is None else "packed"
 
 
 def _endpoints(options: RunOptions, kind: Kind | None) -> _Endpoints:

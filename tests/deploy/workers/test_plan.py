@@ -39,9 +39,10 @@ def test_one_processor_core_gets_one_worker(monkeypatch: pytest.MonkeyPatch) -> 
     assert _plan(load_scene("elliptic", [Override(("array", "rows"), 51, "")])).workers == 1
 
 
-def test_a_process_a_cell_has_its_messages_relayed_unless_others_are_given_an_address(motors: Scene) -> None:
+def test_messages_are_relayed_between_processes_unless_others_are_given_an_address(motors: Scene) -> None:
     assert _plan(motors, processes="each").wire == "relayed"
-    assert _plan(motors, processes=18).wire == "packed"
+    assert _plan(motors, processes=2).wire == "relayed"
+    assert _plan(motors, processes=1).wire == "packed"
     assert _plan(motors, processes="each", wire="packed").wire == "packed"
     endpoint = "tcp/127.0.0.1:7447"
     assert _plan(motors, processes="each", listen=endpoint).wire == "per_cell"
