@@ -251,6 +251,7 @@ def test_dead_cells_have_a_cross_at_an_instant_and_outlines_a_white_rim(
     assert outline.get_path_effects()
 
 
+@pytest.mark.slow
 def test_every_picture_names_scene_size_time_status_and_what_it_shows(
     recordings: dict[str, Recording], drawn: list[tuple[Figure, Any]], tmp_path: Path
 ) -> None:
