@@ -203,6 +203,7 @@ def _next_parcel(session: Session, command: Command) -> None:
     instant = session.instant()
     there = [] if instant is None else np.flatnonzero(np.isfinite(instant.parcels).all(axis=1)).tolist()
     if not there:
+        session.notify("there is no parcel on the array at this instant")
         return
     by, before = int(command.get("by", 1)), session.choice.parcel
     if before is None:

@@ -177,7 +177,7 @@ def parcel_facts(
     ]
     return {
         "kind": "parcel",
-        "title": f"Parcel {parcel}",
+        "title": f"Parcel {parcel}" if np.isfinite(pose).all() else f"Parcel {parcel}, not on the array",
         "number": parcel,
         "sections": [
             {"name": "Pose", "rows": rows},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -18,11 +19,12 @@ from deploy.runs.run import run
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.view.colouring import Colouring
+from deploy.view.commands import handle
 from deploy.view.fault_menu import fault_menu, fault_request
 from deploy.view.forces import WheelForces
 from deploy.view.geometry import CellGrid, arrows, broken_line, outlines, trails
 from deploy.view.history import History
-from deploy.view.inspector import _register_sections, supports
+from deploy.view.inspector import _register_sections, parcel_facts, supports
 from deploy.view.layers import Scenery, draw_arrows, sending_sides
 from deploy.view.map_figure import MapFigure
 from deploy.view.palette import DARK, LIGHT, rgba, scale_of
@@ -418,3 +420,18 @@ def test_forces_are_those_of_the_instant_once_the_viewer_stays_there(
     colouring.choose("load")
     sampled = np.unique(np.linspace(0, len(recording.tick) - 1, 24).astype(np.int64)).tolist()
     assert colouring.legend(LIGHT)["high"] == max(recording.tractions(row).load_n.max() for row in sampled)
+
+
+def test_a_parcel_that_is_not_there_is_named_so_and_keys_say_that_there_is_none() -> None:
+    square = [[-1.0, -1], [1, -1], [1, 1], [-1, 1]]
+    run_of: Any = SimpleNamespace(header={"footprints_m": [square, square], "cells": CELLS})
+    shown = replace(instant(1), parcels=np.array([[np.nan] * 6, [0.0, 0, 0, 0, 0, 0]]))
+    titles = [
+        parcel_facts(run_of, CellGrid(CELLS, PLACES, 0.1), shown, number, [0.0] * 4)["title"]
+        for number in (0, 1)
+    ]
+    assert titles == ["Parcel 0, not on the array", "Parcel 1"]
+    said: list[str] = []
+    session: Any = SimpleNamespace(instant=lambda: None, notify=said.append)
+    handle(session, {"op": "next_parcel"})
+    assert said == ["there is no parcel on the array at this instant"]
