@@ -173,6 +173,7 @@ def test_event_keys_go_to_the_nearest_event_either_way_and_the_list_follows(
         row = page.page.locator("#rows [aria-current]").inner_text()
         last = max(moment for moment in moments if moment <= recording.time_s[wanted])
         assert row.startswith(f"{last:.3f} s")
+    assert page.page.is_hidden("#subject"), "of a plot that isn't there"
     page.press("Home", "[")
     assert page.state()["notice"]["text"] == "there is no event before this instant"
 
