@@ -18,6 +18,7 @@ from deploy.view.geometry import CellGrid, outline
 from deploy.view.inspector import cell_facts, parcel_facts
 from deploy.view.layers import DRAW, Captures, Scenery, draw_marks
 from deploy.view.map_figure import MapFigure
+from deploy.view.outcomes import Outcomes
 from deploy.view.palette import theme_of
 from deploy.view.player import Player
 from deploy.view.plot_figure import PlotFigure
@@ -109,6 +110,7 @@ class Session:
         self._quantity_series = QuantitySeries(source)
         self._events = EventList(source)
         self._captures = Captures(source)
+        self._outcomes = Outcomes(source)
         self._seq = 0
         self._last = time.monotonic()
         self._plotted: tuple[Any, ...] = ()
@@ -290,7 +292,8 @@ class Session:
         choice = self.choice
         if choice.parcel is not None:
             loads_n = self._forces.loads_n(instant).tolist()
-            return parcel_facts(self.source, self.grid, instant, choice.parcel, loads_n)
+            outcome = self._outcomes.at(instant.time_s, choice.parcel)
+            return parcel_facts(self.source, self.grid, instant, choice.parcel, loads_n, outcome)
         if choice.cell is not None:
             load_n = float(self._forces.loads_n(instant)[choice.cell])
             return cell_facts(self.source, self.grid, instant, index, choice.cell, load_n)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,9 +20,11 @@ from deploy.view.forces import WheelForces
 from deploy.view.geometry import CellGrid
 from deploy.view.inspector import _register_sections, parcel_facts
 from deploy.view.layers import Scenery, sending_sides
+from deploy.view.outcomes import Outcomes
 from deploy.view.palette import LIGHT
 from deploy.view.quantity_series import QuantitySeries
 from deploy.view.replay import ReplaySource
+from deploy.view.source import RunSource
 from deploy.workers.plan import RunOptions
 from tests.deploy.view.test_view_parts import CELLS, PLACES, instant
 
@@ -126,6 +128,17 @@ def test_a_parcel_that_is_not_there_is_named_so_and_keys_say_that_there_is_none(
         for number in (0, 1)
     ]
     assert titles == ["Parcel 0, not on the array", "Parcel 1"]
+    events = [
+        {"kind": "support_lost", "parcel": 1, "time_s": 0.1},
+        {"kind": "off_array", "parcel": 1, "time_s": 0.2},
+    ]
+    outcomes = Outcomes(cast("RunSource", SimpleNamespace(events=events, revision=0)))
+    assert [outcomes.at(time_s, 1) for time_s in (0.1, 0.2, 9.0)] == [None, "off the array", "off the array"]
+    events.append({"kind": "left", "parcel": 0, "time_s": 0.3})
+    assert (outcomes.at(0.3, 0), outcomes.at(0.2, 0)) == ("delivered", None)
+    facts = parcel_facts(run_of, CellGrid(CELLS, PLACES, 0.1), shown, 1, [0.0] * 4, "off the array")
+    assert facts["title"] == "Parcel 1, off the array"
+    assert facts["sections"][2] == {"name": "Supports (0)", "rows": []}
     said: list[str] = []
     session: Any = SimpleNamespace(instant=lambda: None, notify=said.append)
     handle(session, {"op": "next_parcel"})
