@@ -43,9 +43,9 @@ KindOption = Annotated[
         "--kind",
         help="overview: the parcels' motion from above and over time; time: position, angle and velocities; phase: "
         "velocity against position; loads: loads and tractions of the cells at an instant; torque: force and torque of "
-        "the wheels over time; field: speeds of the wheels at an instant; protocol: the protocol's fields (needs a run "
-        "with --registers); sequence: messages between cells (needs a run with --trace-messages); spacetime: a "
-        "register of a line of cells over time (needs a run with --registers).",
+        "the wheels over time; field: speeds of the wheels, or a register, at an instant; protocol: the protocol's "
+        "fields (needs a run with --registers); sequence: messages between cells (needs a run with --trace-messages); "
+        "spacetime: a register of a line of cells over time (needs a run with --registers).",
     ),
 ]
 AtOption = Annotated[
@@ -72,8 +72,8 @@ RegisterOption = Annotated[
     typer.Option(
         "--register",
         metavar="NAME",
-        help="Register of spacetime (default: one of the program's variables), and of an animated field (default: the "
-        "wheels' speed).",
+        help="Register of spacetime (default: one of the program's variables), and of field (default: the wheels' "
+        "speed).",
     ),
 ]
 AnimateOption = Annotated[
@@ -104,6 +104,7 @@ def plot(
       [cyan]mdms plot runs/NAME[/cyan]
       [cyan]mdms plot runs/NAME --output figure.pdf[/cyan]
       [cyan]mdms plot runs/NAME --kind loads --at 1.5 --output loads.svg[/cyan]
+      [cyan]mdms plot runs/NAME --kind field --register firmware.speed_m_s --at 1.5[/cyan]
       [cyan]mdms plot runs/NAME --animate run.mp4[/cyan]
       [cyan]mdms plot runs/NAME --kind field --register firmware.speed_m_s --animate field.gif[/cyan]
 
@@ -122,8 +123,8 @@ def plot(
         raise InputError(f"--cells: goes with --kind sequence or spacetime, not {kind.value}")
     if ticks is not None and kind is not Kind.sequence:
         raise InputError(f"--ticks: goes with --kind sequence, not {kind.value}")
-    if register is not None and kind is not Kind.spacetime and (kind is not Kind.field or animate is None):
-        raise InputError(f"--register: goes with --kind spacetime, or field with --animate, not {kind.value}")
+    if register is not None and kind not in (Kind.spacetime, Kind.field):
+        raise InputError(f"--register: goes with --kind spacetime or field, not {kind.value}")
     between = None if ticks is None else _ticks(ticks)
     if animate is not None:
         if output is not None or kind not in (Kind.overview, Kind.field) or at is not None:

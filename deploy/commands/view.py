@@ -72,7 +72,7 @@ def view(
         raise InputError(f"--port {port}: must be a number from 0 to 65535")
     from deploy.view.server import PageServer
 
-    source, end, on_open = _open(subject, sets, seed, duration, realtime, connect, run, keys)
+    source, end, on_open, folder = _open(subject, sets, seed, duration, realtime, connect, run, keys)
     try:
         server = PageServer(source, port, on_open)
 
@@ -83,7 +83,11 @@ def view(
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
         print(server.url, flush=True)
-        say("Ctrl-C ends the page")
+        say(
+            "Ctrl-C ends the page"
+            if folder is None
+            else f"Ctrl-C ends the page and the run, which writes to {folder}"
+        )
         if browser:
             _open_browser(server.url)
         server.run()
@@ -102,11 +106,13 @@ class Opened(NamedTuple):
         source: The run or recording.
         end: Ends what was started for the page.
         on_open: Called when the page is first opened; None: nothing happens then.
+        folder: Output folder of the run that was started for the page; None: none was.
     """
 
     source: RunSource
     end: Callable[[], None] = _nothing
     on_open: Callable[[], None] | None = None
+    folder: Path | None = None
 
 
 def _open(
@@ -161,15 +167,22 @@ def _place(address: Address) -> tuple[str, str]:
 
 
 def _attach(find: Callable[[], tuple[str, str]], keys: Path | None) -> RunSource:
-    """Return the source over a run in progress; ``find`` returns its endpoint and its name."""
-    from deploy.live.client import LiveRun
+    """Return the source over a run in progress, once it has begun; ``find`` returns its endpoint and its name."""
+    from deploy.live.client import LiveRun, RunWaitsError
     from deploy.view.live import LiveSource
 
     def connect() -> LiveRun:
         endpoint, name = find()
         return LiveRun(endpoint, keys, run=name)
 
-    return LiveSource(connect)
+    said = ""
+    while True:
+        try:
+            return LiveSource(connect)
+        except RunWaitsError as error:  # of mdms plant, whose cells are commands of their own
+            if str(error) != said:
+                said = str(error)
+                say(f"{said}; the page begins with the run")
 
 
 def _launch(
@@ -203,7 +216,7 @@ def _launch(
     launched = LaunchedRun(arguments, folder)
     try:
         source = _attach(lambda: _place(launched.address()), keys)
-        return Opened(source, launched.end, lambda: _resume(source))
+        return Opened(source, launched.end, lambda: _resume(source), folder)
     except BaseException:
         launched.end()
         raise

@@ -26,6 +26,11 @@ _ATTEMPT_S: Final = 0.5
 
 
 @final
+class RunWaitsError(DeployError):
+    """The run waits for its cells: nothing can be seen yet."""
+
+
+@final
 class LiveRun:
     """A running simulation of another process, seen and controlled.
 
@@ -51,7 +56,8 @@ class LiveRun:
     Raises:
         InputError: No plant listens there, the plant doesn't accept the keys, or there are several runs and none is
             named.
-        DeployError: The run doesn't answer in time, or still waits for its cells.
+        RunWaitsError: The run still waits for its cells.
+        DeployError: The run doesn't answer in time.
     """
 
     def __init__(
@@ -106,12 +112,11 @@ class LiveRun:
                 time.sleep(0.05)
 
     def _check_begun(self) -> None:
-        """Raise DeployError if the run is there, and waits for its cells."""
+        """Raise RunWaitsError if the run is there, and waits for its cells."""
         found = ask_at(self._endpoint, self.connect, {}, _ATTEMPT_S, self._run, "status")
         if found["state"] == "waiting":
-            raise DeployError(
-                f"{self.connect}: run {found['run']} waits for {found['missing']} of {found['shards']} shards: view it "
-                "once it has begun"
+            raise RunWaitsError(
+                f"{self.connect}: run {found['run']} waits for {found['missing']} of {found['shards']} shards"
             )
 
     def _ask_frame(self, timeout_s: float, *, header: bool = False) -> bytes:

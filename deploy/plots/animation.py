@@ -14,10 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import InputError
+from deploy.faults.fault_state import DEAD, FaultState
 from deploy.plots.arrows import ArrowGrid, draw_arrows
 from deploy.plots.cell_values import CellValues
 from deploy.plots.fields import cell_colours
-from deploy.plots.map_view import ARROW, CELL, draw_ground, extent, outline
+from deploy.plots.map_view import (
+    ARROW,
+    CELL,
+    INK,
+    NUMBERED,
+    cross_strokes,
+    draw_crosses,
+    draw_ground,
+    extent,
+    outline,
+    white_rim,
+)
 from deploy.plots.overview import subtitle_of
 from deploy.plots.theme import draw_heading, plot_style
 from deploy.util.colours import colour
@@ -57,8 +69,8 @@ def _encoder(path: Path) -> str:
         return import_module("imageio_ffmpeg").get_ffmpeg_exe()
     except (ImportError, RuntimeError):
         raise InputError(
-            f"animation {path}: MP4 needs ffmpeg: install ffmpeg, or pip install imageio-ffmpeg; "
-            "a name that ends in .gif needs neither"
+            f"animation {path}: MP4 needs ffmpeg: install ffmpeg, or the extra video: pip install "
+            "'mdms-emulator[video]'; a name that ends in .gif needs neither"
         ) from None
 
 
@@ -141,10 +153,19 @@ class _AnimatedMap:
         self._arrows = self._draw_arrows(axes)
         self._bodies = [
             axes.fill(
-                *np.zeros((2, len(footprint))), fc=colour(i), ec=colour(i), alpha=0.55, lw=1.4, zorder=5
+                *np.zeros((2, len(footprint))),
+                fc=(colour(i), 0.3),
+                ec=colour(i),
+                lw=1.4,
+                path_effects=white_rim(1.4),
+                zorder=5,
             )[0]
             for i, footprint in enumerate(self._track.footprints_m)
         ]
+        self._numbers = self._draw_numbers(axes)
+        self._health = FaultState(self._track.cells)
+        self._health.add(self._track.faults)
+        self._crosses = draw_crosses(axes, self._track, ())
         self._time = axes.set_title("", loc="left", fontsize=9, color="#3a424c", pad=4)
         draw_heading(self.figure, self._track.title, subtitle_of(self._track), 0.35)
 
@@ -156,7 +177,26 @@ class _AnimatedMap:
         fastest = float(size[np.isfinite(size)].max(initial=0.0))
         if fastest == 0.0:
             return None
-        return draw_arrows(axes, self._grid, self._track.positions_m[self._shown], speeds[0], fastest, ARROW)
+        shade = ARROW if self._values is None else INK  # seen on colours, too
+        return draw_arrows(axes, self._grid, self._track.positions_m[self._shown], speeds[0], fastest, shade)
+
+    def _draw_numbers(self, axes: Any) -> list[Any]:
+        """Numbers of the parcels, where there are several and not too many."""
+        from matplotlib.patheffects import withStroke
+
+        count = len(self._track.footprints_m)
+        if not 1 < count <= NUMBERED:
+            return []
+        style: dict[str, Any] = {
+            "ha": "center",
+            "va": "center",
+            "color": INK,
+            "fontweight": "bold",
+            "zorder": 6,
+        }
+        style["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
+        size = 9 if count <= 12 else 6.5
+        return [axes.text(0, 0, str(i), fontsize=size, clip_on=True, **style) for i in range(count)]
 
     def show(self, row: int) -> None:
         """Draw one instant."""
@@ -176,6 +216,11 @@ class _AnimatedMap:
             body.set_visible(there)
             if there:
                 body.set_xy(outline(track.footprints_m[parcel], state))
+            if self._numbers:
+                self._numbers[parcel].set_visible(there)
+                self._numbers[parcel].set_position(state[:2] if there else (0.0, 0.0))
+        dead = np.flatnonzero(self._health.health(float(track.time_s[row])) == DEAD)
+        self._crosses.set_segments(cross_strokes(track, dead.tolist()))
 
 
 _COVERED = "#c5d5ea"

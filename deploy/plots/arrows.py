@@ -68,6 +68,10 @@ def draw_arrows(
     Returns:
         The arrows, as ``Axes.quiver`` returns them.
     """
+    corners = list(zip(axes.get_xlim(), axes.get_ylim(), strict=True))
+    axes.update_datalim(
+        corners
+    )  # quiver divides by the size of the data, which a single cell at 0, 0 has not
     arrows = axes.quiver(
         *positions_m.T,
         *vectors.T,
@@ -86,9 +90,11 @@ def draw_arrows(
         zorder=zorder,
     )
     size = round_below(longest)
+    (left, _), (right, _) = corners
+    length = 0.92 * grid.reach_m * size / longest / (right - left)
     axes.quiverkey(
         arrows,
-        0.97,
+        min(0.97, 1.03 - length),  # ends near the edge of the axes, in a small array, too
         1.02,
         size,
         f"{scale[0]}, {size:g} {scale[1]}",

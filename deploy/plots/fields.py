@@ -10,8 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.faults.fault_state import DEAD, FaultState
 from deploy.plots.arrows import ArrowGrid, draw_arrows
-from deploy.plots.map_view import INK, LABEL, extent, outline, square_corners
+from deploy.plots.cell_values import RegisterValues
+from deploy.plots.map_view import (
+    INK,
+    LABEL,
+    draw_crosses,
+    draw_surroundings,
+    extent,
+    outline,
+    square_corners,
+    white_rim,
+)
 from deploy.plots.overview import subtitle_of
 from deploy.plots.theme import DPI, draw_heading
 from deploy.util.colours import colour
@@ -42,12 +53,35 @@ def loads_figure(recording: Recording, instant: int) -> Figure:
     return _cells_figure(recording, instant, load, "load (N)", forces.traction_n, ("traction", "N"), note)
 
 
-def field_figure(recording: Recording, instant: int) -> Figure:
-    """Draw the wheels' velocity at each cell: its magnitude as a colour, its direction as an arrow."""
+def field_figure(recording: Recording, instant: int, register: str | None = None) -> Figure:
+    """Draw the wheels' velocity at each cell as an arrow, and its magnitude or a register as a colour.
+
+    Args:
+        recording: The recording.
+        instant: Row of its instants.
+        register: Register that colours the cells, as it was recorded last; None: the magnitude of the velocity does.
+
+    Raises:
+        InputError: The recording has no registers, or no such register.
+    """
     velocity = recording.held_wheel_speeds.at(instant)
-    speed = np.hypot(velocity[:, 0], velocity[:, 1])
     note = f"wheels at {recording.time_s[instant]:.4g} s"
-    return _cells_figure(recording, instant, speed, "wheel speed (m/s)", velocity, ("wheels", "m/s"), note)
+    if register is None:
+        speed = np.hypot(velocity[:, 0], velocity[:, 1])
+        return _cells_figure(
+            recording, instant, speed, "wheel speed (m/s)", velocity, ("wheels", "m/s"), note
+        )
+    values = RegisterValues(recording, register)
+    return _cells_figure(
+        recording,
+        instant,
+        values.at(instant),
+        values.label,
+        velocity,
+        ("wheels", "m/s"),
+        f"{register} and {note}",
+        values.limits(np.array([instant])),
+    )
 
 
 def _cells_figure(
@@ -58,6 +92,7 @@ def _cells_figure(
     arrows: Floats,
     scale: tuple[str, str],
     note: str,
+    limits: tuple[float, float] | None = None,
 ) -> Figure:
     """Draw a value of each cell as a colour with a bar, an arrow a cell, and the parcels' outlines.
 
@@ -69,6 +104,7 @@ def _cells_figure(
         arrows: ``(n, 2)``; NaN and zero are not drawn.
         scale: Meaning and unit of the arrows.
         note: Meaning of the plot, for the line under the title.
+        limits: Values at the ends of the bar; None: zero and the greatest value.
     """
     from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure
@@ -94,9 +130,16 @@ def _cells_figure(
         zorder=1,
     )
     most = float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
-    cells.set_clim(0.0, most or 1.0)
+    cells.set_clim(*(limits or (0.0, most or 1.0)))
     axes.add_collection(cells, autolim=False)
+    draw_surroundings(axes, track)
     _draw_arrows(axes, track, arrows, scale)
+    state = FaultState(track.cells)
+    state.add(track.faults)
+    dead = np.flatnonzero(state.health(float(track.time_s[instant])) == DEAD)
+    draw_crosses(axes, track, dead.tolist())
+    if len(dead):
+        note += "  ·  cross: dead or lost"
     _draw_parcels(axes, track, instant)
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
@@ -126,12 +169,18 @@ def _draw_arrows(axes: Any, track: RunTrace, arrows: Floats, scale: tuple[str, s
 
 def _draw_parcels(axes: Any, track: RunTrace, instant: int) -> None:
     many = len(track.footprints_m) > 12
+    width = 1.2 if many else 2.0
     for parcel, footprint in enumerate(track.footprints_m):
         state = track.parcels[instant, parcel]
         if not np.isfinite(state).all():
             continue
         axes.fill(
-            *outline(footprint, state).T, fill=False, ec=colour(parcel), lw=1.2 if many else 2.0, zorder=4
+            *outline(footprint, state).T,
+            fill=False,
+            ec=colour(parcel),
+            lw=width,
+            path_effects=white_rim(width),
+            zorder=4,
         )
         if len(track.footprints_m) > 1:
             axes.text(

@@ -26,13 +26,11 @@ _OF_A_RUN: Final[Mapping[str, Callable[[Recording], Figure]]] = {
     "phase": phase_figure,
     "torque": torque_figure,
 }
-_AT_AN_INSTANT: Final[Mapping[str, Callable[[Recording, int], Figure]]] = {
-    "loads": loads_figure,
-    "field": field_figure,
-}
+AT_AN_INSTANT: Final = ("loads", "field")
+"""Kinds that draw all cells at an instant."""
 OF_CELLS: Final = ("sequence", "spacetime")
 """Kinds that draw chosen cells over time."""
-KINDS: Final = ("overview", *_OF_A_RUN, *_AT_AN_INSTANT, *OF_CELLS)
+KINDS: Final = ("overview", *_OF_A_RUN, *AT_AN_INSTANT, *OF_CELLS)
 
 
 class PlotSelection(NamedTuple):
@@ -43,7 +41,8 @@ class PlotSelection(NamedTuple):
         cells: Cells of ``sequence`` and ``spacetime``, as ``deploy.util.cell_ranges`` has them. None: the traced cells;
             the middle row.
         ticks: First and last tick of ``sequence``. None: the first 12 traced.
-        register: Name of the register of ``spacetime``. None: one of the program's variables.
+        register: Name of the register of ``spacetime`` and ``field``. None: one of the program's variables; the wheels'
+            speed.
     """
 
     at_s: float | None = None
@@ -72,9 +71,12 @@ def draw_kind(recording: Recording, kind: str, path: str | Path, choice: PlotSel
         draw_overview(recording, path)
     elif kind in _OF_A_RUN:
         write_picture(lambda: _OF_A_RUN[kind](recording), path)
-    elif kind in _AT_AN_INSTANT:
+    elif kind in AT_AN_INSTANT:
         instant = _instant(recording, choice.at_s)
-        write_picture(lambda: _AT_AN_INSTANT[kind](recording, instant), path)
+        if kind == "loads":
+            write_picture(lambda: loads_figure(recording, instant), path)
+        else:
+            write_picture(lambda: field_figure(recording, instant, choice.register), path)
     elif kind == "sequence":
         write_picture(lambda: sequence_figure(recording, choice.cells, choice.ticks), path)
     elif kind == "spacetime":

@@ -16,8 +16,10 @@ from deploy.recordings.trace import RunTrace
 from deploy.util.colours import colour
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
-    from matplotlib.collections import PolyCollection
+    from matplotlib.collections import LineCollection, PolyCollection
 
 INK = "#22272e"
 LOST = "#c1121f"
@@ -35,7 +37,7 @@ _SQUARES = 2500
 _OUTLINES = 9
 """Outlines of a parcel on its way, start and end included, for few parcels."""
 _FEW = 6
-_NUMBERED = 64
+NUMBERED = 64
 """Up to this many parcels have their number in the map."""
 _NARROW = 0.2
 """A view this many times as wide as high has room for one number below it."""
@@ -77,14 +79,19 @@ def draw_ground(axes: Axes, track: RunTrace) -> PolyCollection:
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     cells = _draw_cells(axes, track)
-    _draw_exits(axes, track)
-    for rail in track.rails_m:
-        axes.fill(*np.array(rail).T, fc=RAIL, ec=RAIL, lw=2.4, joinstyle="round", zorder=2.8)
+    draw_surroundings(axes, track)
     if right - left < _NARROW * (top - bottom):
         axes.set_xticks([round(0.5 * (left + right), 3)])
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
     return cells
+
+
+def draw_surroundings(axes: Axes, track: RunTrace) -> None:
+    """Draw the exits with their names, and the guide rails."""
+    _draw_exits(axes, track)
+    for rail in track.rails_m:
+        axes.fill(*np.array(rail).T, fc=RAIL, ec=RAIL, lw=2.4, joinstyle="round", zorder=2.8)
 
 
 def square_corners(centres: NDArray[np.float64], side: float) -> NDArray[np.float64]:
@@ -154,7 +161,7 @@ def _draw_faults(axes: Axes, track: RunTrace) -> None:
     _draw_squares(axes, track, affected, edgecolors=LOST)
     lost = [index[cell] for cell in lost_for_good(track.faults) if cell in index]
     _draw_squares(axes, track, lost, facecolors="#fbd9d3", edgecolors=LOST)
-    _draw_crosses(axes, track, lost)
+    draw_crosses(axes, track, lost)
 
 
 def _draw_squares(
@@ -170,16 +177,26 @@ def _draw_squares(
     )
 
 
-def _draw_crosses(axes: Axes, track: RunTrace, cells: list[int]) -> None:
+def white_rim(width: float) -> list[Any]:
+    """Return the effects of an outline of some width by which it is seen on cells of the same colour, too."""
+    from matplotlib.patheffects import Normal, Stroke
+
+    return [Stroke(linewidth=width + 2.0, foreground="white"), Normal()]
+
+
+def draw_crosses(axes: Axes, track: RunTrace, cells: Sequence[int]) -> LineCollection:
+    """Draw a cross on each of some cells, given by index. Returns the crosses."""
     from matplotlib.collections import LineCollection
 
-    if not cells:
-        return
-    crosses = square_corners(track.positions_m[cells], 0.5 * track.pitch_m)
-    strokes = [crosses[:, [0, 2]], crosses[:, [1, 3]]]
-    axes.add_collection(
-        LineCollection(list(np.concatenate(strokes)), colors=LOST, linewidths=1.1, zorder=2.6), autolim=False
-    )
+    strokes = LineCollection(cross_strokes(track, cells), colors=LOST, linewidths=1.1, zorder=3.2)
+    axes.add_collection(strokes, autolim=False)
+    return strokes
+
+
+def cross_strokes(track: RunTrace, cells: Sequence[int]) -> list[NDArray[np.float64]]:
+    """Return the two strokes of a cross on each of some cells, ``(2, 2)`` each."""
+    crosses = square_corners(track.positions_m[list(cells)], 0.5 * track.pitch_m)
+    return list(np.concatenate([crosses[:, [0, 2]], crosses[:, [1, 3]]]))
 
 
 def _draw_exits(axes: Axes, track: RunTrace) -> None:
@@ -243,7 +260,7 @@ def _draw_parcel(axes: Axes, track: RunTrace, parcel: int) -> None:
     front = np.array([[0.0, 0.0], [float(footprint[:, 0].max()), 0.0]])
     axes.plot(*outline(front, last).T, color=shade, lw=1.6 if few else 1.0, zorder=5)
     axes.plot(*last[:2], "o", ms=4 if few else 2.5, color=shade, zorder=6)
-    if 1 < len(track.footprints_m) <= _NUMBERED:
+    if 1 < len(track.footprints_m) <= NUMBERED:
         axes.annotate(
             str(parcel),
             (last[0], last[1]),

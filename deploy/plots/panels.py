@@ -134,6 +134,9 @@ def panel_figure(
         axes.set_axisbelow(True)
         axes.ticklabel_format(useOffset=False)
         axes.locator_params(axis="x", nbins=6)
+        if not parcels:
+            axes.text(0.5, 0.5, "no parcel", transform=axes.transAxes, ha="center", color="#5b6570")
+            axes.set(xticks=[], yticks=[])
     if 1 < parcels <= 12:
         _name_parcels(figure, parcels)
     draw_heading(figure, track.title or track.scene, f"{subtitle_of(track)}  ·  {note}", 0.35)

@@ -25,15 +25,19 @@ class Colouring:
     Args:
         source: The run.
         extra: Quantities of this run beside the common ones.
+        sampled: The same, evaluated at every instant for the limits; None: they are.
 
     Attributes:
         quantities: Quantities that can be chosen, registers left out.
         quantity: The chosen one.
     """
 
-    def __init__(self, source: RunSource, extra: Sequence[Quantity] = ()) -> None:
+    def __init__(
+        self, source: RunSource, extra: Sequence[Quantity] = (), sampled: Sequence[Quantity] | None = None
+    ) -> None:
         self._source = source
         self.quantities = (*QUANTITIES, *extra)
+        self._sampled = self.quantities if sampled is None else (*QUANTITIES, *sampled)
         self.quantity = self.quantities[0]
         self._limits: tuple[float, float] | None = None
         self._categories: Sequence[str] = ()
@@ -42,9 +46,9 @@ class Colouring:
         """Choose a quantity by its identifier."""
         self.quantity = quantity_of(name, self.quantities)
         self._limits = None
-        count = len(self._source.times_s)
+        count, sampled = len(self._source.times_s), quantity_of(name, self._sampled)
         for index in np.unique(np.linspace(0, count - 1, min(count, _SAMPLES)).astype(np.int64)).tolist():
-            values = self.quantity.values(self._source, index, self._source.at(index))
+            values = sampled.values(self._source, index, self._source.at(index))
             if values.categories:
                 return
             self._widen(values.numbers)

@@ -89,6 +89,21 @@ def _seek(session: Session, command: Command) -> None:
         session.player.seek(int(command["index"]))
 
 
+def _event(session: Session, command: Command) -> None:
+    """Move to the nearest earlier or later instant at which there is an event or a fault."""
+    source, at, by = session.source, session.player.index, int(command["by"])
+    moments = np.array([record["time_s"] for record in (*source.events, *source.faults)], dtype=np.float64)
+    instants = np.searchsorted(source.times_s, moments - 1e-12)
+    found = (
+        instants[(instants > at) & (instants < len(source.times_s))] if by > 0 else instants[instants < at]
+    )
+    if not len(found):
+        session.notify(f"there is no event {'after' if by > 0 else 'before'} this instant")
+        return
+    session.player.playing = False
+    session.player.seek(int(found.min() if by > 0 else found.max()))
+
+
 def _follow(session: Session, command: Command) -> None:
     del command
     session.player.follow()
@@ -188,6 +203,7 @@ def _next_parcel(session: Session, command: Command) -> None:
     instant = session.instant()
     there = [] if instant is None else np.flatnonzero(np.isfinite(instant.parcels).all(axis=1)).tolist()
     if not there:
+        session.notify("there is no parcel on the array at this instant")
         return
     by, before = int(command.get("by", 1)), session.choice.parcel
     if before is None:
@@ -209,7 +225,7 @@ def _fault(session: Session, command: Command) -> None:
     row, column = session.source.header["cells"][cell]
     settings = tomllib.loads("\n".join(str(command.get("settings") or "").split(";")))
     kind = str(command["kind"])
-    request = fault_request(kind, row, column, settings)
+    request = fault_request(kind, row, column, settings, motors=session.motors)
     session.ask(
         request,
         lambda answer: session.notify(
@@ -294,6 +310,7 @@ COMMANDS: Final[Mapping[str, Callable[[Any, Command], None]]] = {
     "reverse": _reverse,
     "reset": _reset,
     "seek": _seek,
+    "event": _event,
     "follow": _follow,
     "theme": _theme,
     "colour": _colour,

@@ -20,17 +20,23 @@ _SETTINGS: Final[dict[str, dict[str, Any]]] = {
     "slow_clock": {"factor": 0.5},
 }
 """Settings of kinds that need some, unless the page's user gives others."""
+_IDEAL_SETTINGS: Final[dict[str, dict[str, Any]]] = {"wheel_runaway": {"speed_m_s": 0.5}}
+"""Further settings without motors: a wheel that runs away has no supply that sets its speed."""
 _GROUPS: Final = {"wheel": "Wheels", "sensor": "Sensors", "link": "Links", "partition": "Links"}
 _MESSAGES: Final = frozenset(("babble", "lie"))
 
 
 @cache
-def fault_menu() -> tuple[dict[str, Any], ...]:
-    """Return kind, group, description and settings of every kind, in the registry's order."""
+def fault_menu(*, motors: bool) -> tuple[dict[str, Any], ...]:
+    """Return kind, group, description and settings of every kind, in the registry's order.
+
+    Args:
+        motors: Whether the scene has motors.
+    """
     from deploy.faults.registry import KINDS, gist
 
     return tuple(
-        {"kind": kind, "group": _group(kind), "gist": gist(kind), "settings": _SETTINGS.get(kind, {})}
+        {"kind": kind, "group": _group(kind), "gist": gist(kind), "settings": _settings(kind, motors=motors)}
         for kind in KINDS
         if kind != "add"  # for scenes alone: a removed cell is plugged in again by a repair
     )
@@ -42,7 +48,13 @@ def _group(kind: str) -> str:
     return _GROUPS.get(kind.partition("_")[0], "Cell")
 
 
-def fault_request(kind: str, row: int, column: int, settings: dict[str, Any] | None = None) -> dict[str, Any]:
+def _settings(kind: str, *, motors: bool) -> dict[str, Any]:
+    return {**_SETTINGS.get(kind, {}), **({} if motors else _IDEAL_SETTINGS.get(kind, {}))}
+
+
+def fault_request(
+    kind: str, row: int, column: int, settings: dict[str, Any] | None = None, *, motors: bool
+) -> dict[str, Any]:
     """Return the request for a fault of one cell.
 
     Args:
@@ -50,6 +62,8 @@ def fault_request(kind: str, row: int, column: int, settings: dict[str, Any] | N
         row: Row of the cell.
         column: Column of the cell.
         settings: Further keys of the fault, in place of the menu's.
+        motors: Whether the scene has motors.
     """
+    own = _settings(kind, motors=motors)
     target: dict[str, Any] = {"row": row} if kind == "partition" else {"cell": [row, column]}
-    return {"op": "inject", "fault": {"kind": kind, **target, **_SETTINGS.get(kind, {}), **(settings or {})}}
+    return {"op": "inject", "fault": {"kind": kind, **target, **own, **(settings or {})}}

@@ -151,6 +151,7 @@ def parcel_facts(
     instant: Instant,
     parcel: int,
     loads_n: Sequence[float],
+    outcome: str | None = None,
 ) -> dict[str, Any]:
     """Return the facts on a parcel: pose, velocity, supports and their loads.
 
@@ -160,10 +161,12 @@ def parcel_facts(
         instant: The instant.
         parcel: Number of the parcel.
         loads_n: ``(n,)`` load of every cell, N; NaN where it is unknown.
+        outcome: Outcome of the parcel, after which it has no supports; None: it has none yet.
     """
     pose = instant.parcels[parcel].tolist()
     footprint = np.array(source.header["footprints_m"][parcel])
-    under = supports(footprint, instant.parcels[parcel], grid.centres)
+    under = supports(footprint, instant.parcels[parcel], grid.centres)[: None if outcome is None else 0]
+    there = outcome or ("" if np.isfinite(pose).all() else "not on the array")
     names = [source.header["cells"][int(cell)] for cell in under]
     rows = [
         _row("x", pose[0], "m"),
@@ -177,7 +180,7 @@ def parcel_facts(
     ]
     return {
         "kind": "parcel",
-        "title": f"Parcel {parcel}",
+        "title": f"Parcel {parcel}, {there}" if there else f"Parcel {parcel}",
         "number": parcel,
         "sections": [
             {"name": "Pose", "rows": rows},

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from deploy.view.fault_state import DEAD, FAULTY
+from bus.lattice import SIDES
+from cell_firmware.shard import MESSAGES
+from deploy.faults.fault_state import DEAD, FAULTY
 from deploy.view.geometry import MOST_DETAILED, CellGrid, arrows, broken_line, closed, outline, trails
 
 if TYPE_CHECKING:
@@ -154,11 +157,14 @@ def draw_captured(figure: MapFigure, scene: Scenery) -> None:
 
 def draw_messages(figure: MapFigure, scene: Scenery) -> None:
     """Draw the halves of links on which cells have sent since the registers before."""
-    sent = _sending(scene)
+    sides = sending_sides(scene)
+    sent: NDArray[np.bool_] = np.logical_or.reduce(sides, axis=1)
     ends: dict[str, list[float]] = {"x0": [], "y0": [], "x1": [], "y1": []}
     for cell in scene.in_sight[sent[scene.in_sight]].tolist() if scene.detailed else ():
         x, y = scene.grid.centres[cell].tolist()
-        for other in scene.grid.beside(cell).values():
+        for side, other in scene.grid.beside(cell).items():
+            if not sides[cell, SIDES.index(side)]:
+                continue
             to_x, to_y = scene.grid.centres[other].tolist()
             for key, at, to in (("x", x, to_x), ("y", y, to_y)):
                 ends[f"{key}0"].append(at + 0.36 * (to - at))
@@ -166,10 +172,25 @@ def draw_messages(figure: MapFigure, scene: Scenery) -> None:
     figure.put("messages", **{key: np.array(values) for key, values in ends.items()})
 
 
-def _sending(scene: Scenery) -> Any:
-    """Return the cells whose count of sent messages has grown since the registers before, ``(n,)``."""
+def sending_sides(scene: Scenery) -> NDArray[np.bool_]:
+    """Return the sides to which cells send, ``(n, 4)``: those of the last tick where its messages are known.
+
+    Cells that have sent since the registers before, and not in the last tick, have all sides.
+    """
     cells = len(scene.instant.health)
     now_s, now = scene.source.registers(scene.index)
+    grown = _grown(scene, cells, now_s, now)
+    sides: NDArray[np.bool_] = np.repeat(grown[:, np.newaxis], len(SIDES), axis=1)
+    last = now.get(f"{MESSAGES}sent")
+    if last is not None:
+        sent = last.reshape(cells, len(SIDES)) > 0  # not a number: of a dead cell
+        known = sent.any(axis=1)
+        sides[known] = sent[known]
+    return sides
+
+
+def _grown(scene: Scenery, cells: int, now_s: float, now: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+    """Return the cells whose count of sent messages has grown since the registers before, ``(n,)``."""
     if "messages.sent" not in now:
         return np.zeros(cells, dtype=np.bool_)
     earlier = int(np.searchsorted(scene.source.times_s, now_s - 1e-9)) - 1

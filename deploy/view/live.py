@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bus.errors import BusError
 from deploy.errors import DeployError
-from deploy.view.fault_state import FaultState
+from deploy.faults.fault_state import FaultState
 from deploy.view.geometry import MOST_DETAILED
 from deploy.view.history import History
 from deploy.view.source import Floats, Instant, Ints, RunState
@@ -213,7 +213,7 @@ class LiveSource:
             if arrived is _BEGUN_AGAIN:
                 self._forget()
             elif isinstance(arrived, RunState):
-                self._state = arrived
+                self._state, self.live = arrived, False  # what was kept is replayed from now on
             else:
                 self._take(arrived)
 

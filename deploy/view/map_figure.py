@@ -23,6 +23,8 @@ _MARGIN: Final = 0.6
 """Space around the array, pitches."""
 _FEW, _SOME = 64, 900
 """Up to so many cells in sight arrows have larger heads."""
+_NUMBERED: Final = 64
+"""Up to this many parcels have their numbers on the map."""
 _EMPTY: Final[dict[str, list[Any]]] = {"x": [], "y": []}
 
 
@@ -63,6 +65,8 @@ class MapFigure:
             sizing_mode="stretch_both",
             min_border=4,
             lod_threshold=None,
+            x_axis_label="m",
+            y_axis_label="m",
         )
         self.sources: dict[str, ColumnDataSource] = {}
         self._sent: dict[str, dict[str, Any]] = {}
@@ -100,6 +104,8 @@ class MapFigure:
             "x", "y", source=self._source("coming", _EMPTY), line_width=1.2, line_dash="dotted"
         )
         parcels = self._source("parcels", {"xs": [], "ys": [], "colour": [], "width": []})
+        # below the outline, so that a blue parcel is seen on blue cells
+        self._glyphs["casings"] = plot.patches("xs", "ys", source=parcels, fill_alpha=0.0, line_width=4.5)
         self._glyphs["parcels"] = plot.patches(
             "xs",
             "ys",
@@ -111,6 +117,9 @@ class MapFigure:
         )
         fronts = self._source("fronts", {"x0": [], "y0": [], "x1": [], "y1": []})
         self._glyphs["fronts"] = plot.segment("x0", "y0", "x1", "y1", source=fronts, line_width=2.0)
+        self._exit_names(exits)  # above the arrows
+        self._source("numbers", {"x": [], "y": [], "text": []})
+        self._text("numbers", x_offset=4, y_offset=-4)
         ghost = self._source("ghost", {"xs": [], "ys": []})
         self._glyphs["ghost"] = plot.patches(
             "xs", "ys", source=ghost, fill_alpha=0.15, line_dash="dashed", line_width=2.0
@@ -131,6 +140,30 @@ class MapFigure:
         }
         self._glyphs[name] = self.figure.patches("xs", "ys", source=self._source(name, columns), **style)
 
+    def _exit_names(self, exits: Sequence[tuple[str, Floats]]) -> None:
+        """Add the name of each exit in its upper right corner."""
+        places = [corners[np.argmax(corners.sum(axis=1))].tolist() for _, corners in exits]
+        names = {
+            "x": [x for x, _ in places],
+            "y": [y for _, y in places],
+            "text": [name for name, _ in exits],
+        }
+        self._source("exit names", names)
+        self._text("exit names", x_offset=-4, y_offset=4, text_align="right", text_baseline="top")
+
+    def _text(self, name: str, **style: Any) -> None:
+        """Add the texts of a source."""
+        style |= {"background_fill_alpha": 0.75, "padding": 2, "border_radius": 3}
+        self._glyphs[name] = self.figure.text(
+            "x",
+            "y",
+            "text",
+            source=self.sources[name],
+            text_font_size="11px",
+            text_font_style="bold",
+            **style,
+        )
+
     def put(self, name: str, **columns: Any) -> None:
         """Set the data of a layer, unless it is what the page has already."""
         before = self._sent.get(name)
@@ -150,14 +183,15 @@ class MapFigure:
         x, y = cast("Any", self.figure.x_range), cast("Any", self.figure.y_range)
         return x.start, x.end, y.start, y.end
 
-    def size_heads(self, cells: int) -> None:
-        """Set the size of arrow heads for a number of cells in sight."""
-        size = 9 if cells <= _FEW else 5 if cells <= _SOME else 4
-        if self._glyphs["heads"].glyph.size != size:
-            self._glyphs["heads"].glyph.size = size
+    def size_marks(self, cells: int) -> None:
+        """Set the size of arrow heads and of crosses for a number of cells in sight."""
+        head, cross = (9, 24) if cells <= _FEW else (5, 9) if cells <= _SOME else (4, 7)
+        for name, size in (("heads", head), ("dead", cross)):
+            if self._glyphs[name].glyph.size != size:
+                self._glyphs[name].glyph.size = size
 
     def put_parcels(self, states: Floats, selected: int | None) -> None:
-        """Set the outlines of the parcels and their fronts.
+        """Set the outlines of the parcels, their fronts and numbers.
 
         Args:
             states: ``(m, 6)`` states; NaN: absent.
@@ -170,6 +204,8 @@ class MapFigure:
         reach = np.array([0.8 * float(footprint[:, 0].max()) for footprint in self._footprints])
         there = np.isfinite(states).all(axis=1)
         x, y, angle = states[there, :3].T
+        if 1 < len(states) <= _NUMBERED:
+            self.put("numbers", x=x.tolist(), y=y.tolist(), text=[str(i) for i in np.flatnonzero(there)])
         self.put(
             "fronts",
             x0=x.tolist(),
@@ -185,6 +221,7 @@ class MapFigure:
         self.figure.grid.grid_line_color = None
         lines = {
             "grid": theme.paper,
+            "casings": theme.paper,
             "captured": theme.captured,
             "faulty": theme.faulty,
             "selected": theme.ink,
@@ -203,12 +240,17 @@ class MapFigure:
         for name in ("ghost", "rails", "exits"):
             self._glyphs[name].glyph.fill_color = lines[name]
         self._glyphs["heads"].glyph.fill_color = theme.arrow
+        for name, colour in (("numbers", theme.ink), ("exit names", theme.message)):
+            self._glyphs[name].glyph.text_color = colour
+            self._glyphs[name].glyph.background_fill_color = theme.paper
 
 
 def paint_axes(plot: Any, theme: Theme) -> None:
     """Set the colours of a figure's background and axes."""
     plot.background_fill_color = theme.paper
-    plot.border_fill_color = theme.paper
+    plot.border_fill_color = (
+        None  # the page's own: a colour would leave a line of the theme before at the edge
+    )
     plot.outline_line_color = None
     for axis in plot.axis:
         axis.axis_line_color = theme.line

@@ -44,7 +44,7 @@ def build_page(document: Document, source: RunSource, executor: Executor) -> Ses
     channel = PageChannel(name="channel")
     session = Session(document, source, channel, executor)
     channel.menu = {
-        "faults": list(fault_menu()),
+        "faults": list(fault_menu(motors=session.motors)),
         "layers": [{"name": name, "label": label} for name, label in LAYERS.items()],
         "speeds": list(SPEEDS),
         "parcels": len(session.footprints),

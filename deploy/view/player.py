@@ -65,11 +65,12 @@ class Player:
                 self.seek(len(times) - 1)
 
     def seek(self, index: int) -> None:
-        """Move to an instant; the nearest that there is."""
+        """Move to an instant, the nearest that there is; the newest of a run in progress is followed."""
         times = self._source.times_s
         if len(times):
-            self.following = False
-            self._time_s = float(times[min(max(index, 0), len(times) - 1)])
+            last = len(times) - 1
+            self.following = self._source.live and index >= last > 0
+            self._time_s = float(times[min(max(index, 0), last)])
 
     def seek_time(self, time_s: float) -> None:
         """Move to the first instant that is not before a time, s."""

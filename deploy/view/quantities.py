@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.view.fault_state import ALIVE
+from deploy.faults.fault_state import ALIVE
 
 if TYPE_CHECKING:
     from deploy.view.source import Floats, Instant, RunSource

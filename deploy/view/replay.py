@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cell_firmware.shard import MESSAGES
 from deploy.errors import RequestError
+from deploy.faults.fault_state import FaultState
 from deploy.recordings.trace import mask_absent
-from deploy.view.fault_state import FaultState
 from deploy.view.source import Floats, Instant, Ints, RunState
 
 if TYPE_CHECKING:
@@ -71,13 +71,19 @@ class ReplaySource:
         return list(self._recording.registers)
 
     def registers(self, index: int) -> tuple[float, Mapping[str, NDArray[Any]]]:
-        """Return the registers after the last recorded tick that is over at an instant."""
-        ticks = self._recording.register_tick
-        row = int(np.searchsorted(ticks, int(self._recording.tick[index]), side="left")) - 1
+        """Return the registers after the last recorded tick that is over at an instant, and its messages.
+
+        Without registers they are the messages of the last such tick.
+        """
+        recording = self._recording
+        ticks = recording.register_tick if len(recording.register_tick) else recording.message_tick
+        row = int(np.searchsorted(ticks, int(recording.tick[index]), side="left")) - 1
         if row < 0:
             return 0.0, {}
         time_s = float(ticks[row] + 1) * self.header["period_ns"] * 1e-9
-        found = {name: values[row] for name, values in self._recording.registers.items()}
+        found: dict[str, NDArray[Any]] = {}
+        if len(recording.register_tick):
+            found = {name: values[row] for name, values in recording.registers.items()}
         return time_s, {**found, **self._messages(int(ticks[row]))}
 
     def _messages(self, tick: int) -> dict[str, NDArray[Any]]:

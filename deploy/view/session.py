@@ -18,9 +18,11 @@ from deploy.view.geometry import CellGrid, outline
 from deploy.view.inspector import cell_facts, parcel_facts
 from deploy.view.layers import DRAW, Captures, Scenery, draw_marks
 from deploy.view.map_figure import MapFigure
+from deploy.view.outcomes import Outcomes
 from deploy.view.palette import theme_of
 from deploy.view.player import Player
 from deploy.view.plot_figure import PlotFigure
+from deploy.view.quantity_series import QuantitySeries
 from deploy.view.series import PARCEL_TABS, Series, parcel_series, register_series, wheel_series
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 
 _IN_FLIGHT: Final = 2
 """Most frames that the browser has not confirmed: a page that stalls gets no more until it goes on."""
+_EVALUATION_S: Final = 0.02
+"""Time for values of a plotted quantity in an update, wall seconds."""
 _PLOT_S: Final = 1.0
 """Interval at which the plot of a run in progress is drawn again, wall seconds."""
 
@@ -79,6 +83,7 @@ class Session:
         map: Figure of the map.
         plot: Figure below the map.
         handled: Number of the newest commands that were carried out.
+        motors: Whether the scene has motors.
         held: From the pointer to the centre of the parcel that is being moved, m.
     """
 
@@ -94,14 +99,18 @@ class Session:
         self.source = source
         self.grid = CellGrid(header["cells"], header["positions_m"], header["pitch_m"])
         self.footprints = tuple(np.array(corners, dtype=np.float64) for corners in header["footprints_m"])
+        effects: dict[str, Any] = header["scene"].get("effects") or {}
+        self.motors = bool(effects.get("motors"))
         self.player = Player(source)
         self.choice = ViewerChoice()
         self._forces = WheelForces(source)
-        self.colouring = Colouring(source, self._forces.quantities)
+        self.colouring = Colouring(source, self._forces.quantities, WheelForces(source, rest=0.0).quantities)
         self.map = MapFigure(self.grid, self.footprints, *_surroundings(header))
         self.plot = PlotFigure()
+        self._quantity_series = QuantitySeries(source)
         self._events = EventList(source)
         self._captures = Captures(source)
+        self._outcomes = Outcomes(source)
         self._seq = 0
         self._last = time.monotonic()
         self._plotted: tuple[Any, ...] = ()
@@ -153,6 +162,9 @@ class Session:
     def update(self) -> None:
         """Advance the position, and send the page what has changed unless frames wait there."""
         now = time.monotonic()
+        if self.player.following and not self.source.live:
+            self.player.follow()
+            self.notify("the run has ended; the page replays the frames that it has kept")
         self.player.advance(now - self._last)
         self._last = now
         if self._seq - int(self._channel.seen) >= _IN_FLIGHT:
@@ -185,7 +197,7 @@ class Session:
             self._captures,
         )
         draw_marks(self.map, scene)
-        self.map.size_heads(len(scene.in_sight))
+        self.map.size_marks(len(scene.in_sight))
         for name, draw in DRAW.items():
             if name in choice.layers:
                 draw(self.map, scene)
@@ -203,7 +215,17 @@ class Session:
     def _draw_plot(self, time_s: float, now: float) -> None:
         """Draw the plot again if its subject has changed, or a run has gone on; move its mark."""
         choice, times = self.choice, self.source.times_s
-        subject = (choice.tab, choice.cell, choice.parcel, choice.register, self.source.revision)
+        subject: tuple[Any, ...] = (
+            choice.tab,
+            choice.cell,
+            choice.parcel,
+            choice.register,
+            self.source.revision,
+        )
+        if choice.tab == "quantity":
+            quantity = self.colouring.quantity.name
+            self._quantity_series.advance(quantity, _EVALUATION_S)
+            subject += (quantity, self._quantity_series.count)
         grown = self.source.live and now - self._plotted_s >= _PLOT_S
         if subject != self._plotted or grown:
             self._plotted, self._plotted_s = subject, now
@@ -224,6 +246,8 @@ class Session:
             return parcel_series(self.source, choice.parcel or 0, choice.tab) if self.footprints else None
         if choice.tab == "wheels":
             return wheel_series(self.source, choice.cell or 0)
+        if choice.tab == "quantity":
+            return self._quantity_series.series(self.colouring.quantity.name, choice.cell or 0)
         if choice.tab == "register" and choice.register:
             return register_series(self.source, choice.cell or 0, choice.register)
         return None
@@ -268,7 +292,8 @@ class Session:
         choice = self.choice
         if choice.parcel is not None:
             loads_n = self._forces.loads_n(instant).tolist()
-            return parcel_facts(self.source, self.grid, instant, choice.parcel, loads_n)
+            outcome = self._outcomes.at(instant.time_s, choice.parcel)
+            return parcel_facts(self.source, self.grid, instant, choice.parcel, loads_n, outcome)
         if choice.cell is not None:
             load_n = float(self._forces.loads_n(instant)[choice.cell])
             return cell_facts(self.source, self.grid, instant, index, choice.cell, load_n)

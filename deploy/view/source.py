@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from deploy.faults.fault_state import FaultState
     from deploy.recordings.format import Header
-    from deploy.view.fault_state import FaultState
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -152,6 +152,7 @@ def test_a_benchmark_runs_and_prints_figures(script: str) -> None:
         timeout=110,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    assert "mdms: interrupted\n" not in done.stderr, "of a run that the script has ended"
     assert re.search(SCRIPTS[script].figures, done.stdout), done.stdout
 
 

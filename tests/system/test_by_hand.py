@@ -98,6 +98,9 @@ def test_cells_join_in_any_order_and_whoever_differs_is_named_until_an_operator_
     plant.wait_for(here, "the first shard is there")
     assert waiting["state"] == "waiting"
     assert [one["shard"] for one in waiting["missing_shards"]] == [1]
+    page = mdms("view", "--no-browser", *at)
+    assert page.process.stderr is not None
+    assert "waits for 1 of 2 shards; the page begins with the run" in page.process.stderr.readline()
     assert mdms("control", "pause", *at).end()[0] == 0
     second = mdms("cells", scene, "--shard", "1/2", *at)
     begun = ["status", "--run", str(tmp_path / "out"), "--json"]
@@ -110,6 +113,10 @@ def test_cells_join_in_any_order_and_whoever_differs_is_named_until_an_operator_
 
     plant.wait_for(paused, "the plant and all cells are there")
     assert (running["missing"], running["here"]) == (0, 2)
+    assert page.process.stdout is not None
+    assert page.process.stdout.readline().startswith("http://127.0.0.1:")
+    page.process.send_signal(signal.SIGINT)
+    assert page.end()[0] == 0
     assert mdms("control", "stop", *at).end()[0] == 0
     status, stdout, stderr = plant.end()
     assert (status, summary_of(stdout)["status"]) == (130, "interrupted")

@@ -44,7 +44,7 @@
   function showClock(s) {
     $("time").textContent = `${s.time_s.toFixed(3)} s`;
     $("tick").textContent = s.tick < 0 ? "–" : s.tick.toLocaleString("en");
-    $("rtf").textContent = s.live ? `${fixed(s.real_time_factor, 2)} ×` : "replay";
+    $("rtf").textContent = s.live ? `${fixed(s.real_time_factor, 2)} ×` : s.run === "ended" ? "ended" : "replay";
     $("lag").textContent = s.live ? `${fixed(s.lag_s, 2)} s` : "–";
   }
   function showControls(s) {
@@ -199,7 +199,6 @@
     const events = page.channel.events;
     if (!events) return;
     page.eventsNumber = (page.eventsNumber || 0) + 1;
-    page.row = -1;
     drawMarks();
     if (!$("events").hidden) buildRows(events);
   }
@@ -216,24 +215,26 @@
   function jump(row) {
     send("seek", { time_s: row.time_s });
   }
-  function walkRows(by) {
-    const rows = page.channel.events?.rows ?? [], shift = page.channel.events?.left_out ? 1 : 0;
-    if (!rows.length) return;
-    $("rows").children[page.row + shift]?.removeAttribute("aria-current");
-    page.row = Math.min(rows.length - 1, Math.max(0, page.row + by));
-    const item = $("rows").children[page.row + shift];
+  // The row of the last event up to the instant is marked, whichever way the page came there.
+  function markRow(s) {
+    const events = page.channel.events;
+    if (!events || $("events").hidden) return;
+    const last = events.rows.findLastIndex((row) => row.time_s <= s.time_s + 1e-9);
+    if (!changed("row", [page.eventsNumber, last])) return;
+    $("rows").querySelector("[aria-current]")?.removeAttribute("aria-current");
+    const item = last < 0 ? null : $("rows").children[last + (events.left_out ? 1 : 0)];
     item?.setAttribute("aria-current", "true");
-    item?.scrollIntoView({ block: "nearest" });
-    jump(rows[page.row]);
+    if (!s.playing) item?.scrollIntoView({ block: "nearest" });
   }
 
   // --- tabs ---------------------------------------------------------------------------------------------
-  const TABS = [["position", "Position"], ["angle", "Angle"], ["velocity", "Velocity"], ["spin", "Spin"], ["wheels", "Wheels"], ["register", "Register"], ["events", "Events"]];
+  const TABS = [["position", "Position"], ["angle", "Angle"], ["velocity", "Velocity"], ["spin", "Spin"], ["wheels", "Wheels"], ["quantity", "Quantity"], ["register", "Register"], ["events", "Events"]];
   function buildTabs() {
     for (const [name, label] of TABS)
       $("tabs").append(element("button", { id: `tab-${name}`, role: "tab", hidden: name === "register", onclick: () => (name === "register" ? send(name, { name: list.value }) : send("tab", { name })) }, label));
     const list = element("select", { id: "register", hidden: true, "aria-label": "Register in the plot", onchange: () => send("register", { name: list.value }) });
     $("tab-register").after(list);
+    $("tab-quantity").title = "What colours cells, of the selected cell";
     $("tabs").append(element("span", { class: "subject", id: "subject" }));
   }
   function showTab(s) {
@@ -247,14 +248,14 @@
     for (const [name] of TABS) $(`tab-${name}`)?.setAttribute("aria-selected", String(s.tab === name));
     if (s.register) $("register").value = s.register;
     $("events").hidden = s.tab !== "events";
-    $("plot").hidden = s.tab === "events";
+    $("plot").hidden = $("subject").hidden = s.tab === "events";
     if (s.tab === "events" && page.channel.events) buildRows(page.channel.events);
   }
   function showLines() {
     const lines = page.channel.lines;
     if (!lines) return;
     const parts = lines.names.map((name, k) => element("b", { style: `color:${lines.colours[k % lines.colours.length]}` }, `${"━╍┅┈━╍"[k]} ${name}`));
-    $("subject").replaceChildren(lines.title, ...parts);
+    $("subject").replaceChildren(element("span", { title: lines.title }, lines.title), ...parts);
   }
   function showNotice({ text, kind, number }) {
     if (!number || !changed("notice", number)) return;
@@ -291,7 +292,7 @@
   const SHOWN_KEYS = [
     ["Space", "run or pause; play or pause a replay"], ["→ ←", "one tick on, one instant back"], ["+ −", "faster, slower"], ["B", "play backwards"],
     ["Home End", "first instant, newest instant"], ["Shift+R", "reset"], ["[ ]", "event before, event after"],
-    ["W A S D", "select the cell above, left, below, right"], ["P Shift+P", "select the next, the previous parcel"], ["Esc", "select nothing"],
+    ["W A S D", "select the cell above, left, below, right"], ["P Shift+P", "select the next, the previous parcel"], ["Esc", "leave a control; select nothing"],
     ["X", "crash the selected cell"], ["F", "list of faults (Tab and Enter choose)"], ["R", "repair the selected cell"],
     ["I J K L, Q E", "while paused: move the selected parcel, turn it"], ["Shift+drag", "while paused: move a parcel"],
     ["1 … 9", "colour cells by the n-th quantity"], ["0 . ,", "whole array, closer, farther"], ["Alt+arrows", "pan"], ["T", "light or dark"], ["?", "this list"],
@@ -306,7 +307,7 @@
     " ": () => send("toggle"), ArrowRight: () => send("step", { instants: 1 }), ArrowLeft: () => send("step", { instants: -1 }),
     "+": () => speedBy(1), "=": () => speedBy(1), "-": () => speedBy(-1), b: () => send("reverse"),
     Home: () => send("seek", { index: 0 }), End: () => send("follow"), R: () => send("reset"),
-    "[": () => walkRows(-1), "]": () => walkRows(1),
+    "[": () => send("event", { by: -1 }), "]": () => send("event", { by: 1 }),
     w: () => send("walk", { rows: 1, columns: 0 }), s: () => send("walk", { rows: -1, columns: 0 }), a: () => send("walk", { rows: 0, columns: -1 }), d: () => send("walk", { rows: 0, columns: 1 }),
     p: () => send("next_parcel", { by: 1 }), P: () => send("next_parcel", { by: -1 }), Escape: () => send("select_none"),
     x: () => send("fault", { kind: "crash" }), r: () => send("repair"), f: () => document.querySelector("[data-fault]")?.focus(),
@@ -314,9 +315,11 @@
     q: () => send("nudge", { angle_rad: 0.05 }), e: () => send("nudge", { angle_rad: -0.05 }),
     0: () => fit(page.home), ".": () => zoom(0.8), ",": () => zoom(1.25), t: () => $("theme").click(), "?": () => $("keys").showModal(),
   };
+  const RELEASES = { click: "button", change: "select, input[type=checkbox]" };
   const PANS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
   function onKey(event) {
     if (!page.state || event.ctrlKey || event.metaKey || $("keys").open) return;
+    if (event.key === "Escape" && event.target.matches("button, input, select")) { event.target.blur(); return; }
     const typing = event.target.matches("input[type=text], input:not([type]), textarea");
     const own = (event.target.matches("select") && /^(Arrow|Home$|End$|[a-z]$)/i.test(event.key))
       || (event.target.matches("input[type=range]") && /^(Arrow|Home$|End$|Page)/.test(event.key));
@@ -353,6 +356,11 @@
       send("seek", { time_s: page.state.first_s + share * (page.state.last_s - page.state.first_s) });
     });
     document.addEventListener("keydown", onKey);
+    // what was pressed with the pointer doesn't keep the keys: Space pauses and arrows step after a click on a layer, too
+    document.addEventListener("pointerdown", () => { page.pointed = true; }, true);
+    document.addEventListener("keydown", () => { page.pointed = false; }, true);
+    for (const kind of ["click", "change"])
+      document.addEventListener(kind, (event) => { if (page.pointed && event.target.matches(RELEASES[kind])) event.target.blur(); });
     $("keytable").append(...SHOWN_KEYS.map(([keys, what]) => element("tr", {}, element("td", {}, element("kbd", {}, keys)), element("td", {}, what))));
     wireDrag();
     new ResizeObserver(() => { page.shown.marks = null; drawMarks(); }).observe($("marks"));
@@ -378,7 +386,7 @@
     const s = (page.state = page.channel.state);
     if (!s) return;
     document.documentElement.classList.toggle("dark", s.dark);
-    showClock(s); showControls(s); showLooks(s); showInspector(s); showSlider(s); showTab(s); showNotice(s.notice); drawMarks();
+    showClock(s); showControls(s); showLooks(s); showInspector(s); showSlider(s); showTab(s); markRow(s); showNotice(s.notice); drawMarks();
     // confirmed once painted: the server sends no more to a page that doesn't paint
     requestAnimationFrame(() => { page.frames += 1; page.channel.seen = s.seq; });
   }

@@ -32,13 +32,19 @@ def running(cells: int) -> Iterator[tuple[LiveRun, int]]:
             "--no-picture", "--output", folder, "--set", f"array.rows={side}", "--set", f"array.columns={side}",
             "--set", f"cells.parameters.held=[{{ columns = [0, {side - 1}], speed_m_s = [0.3, 0.0] }}]",
         ]  # fmt: skip
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        try:
-            with attached(Path(folder), process) as run:
-                yield run, process.pid
-        finally:
-            process.terminate()
-            process.wait()
+        with (Path(folder) / "stderr").open(
+            "w+b"
+        ) as stderr:  # which says "interrupted" at the end, as is meant
+            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=stderr)
+            try:
+                with attached(Path(folder), process) as run:
+                    yield run, process.pid
+            finally:
+                ended = process.poll() is not None
+                process.terminate()
+                process.wait()
+                if ended:
+                    sys.stderr.write(Path(stderr.name).read_text(encoding="utf-8"))
 
 
 def attached(folder: Path, process: subprocess.Popen[bytes]) -> LiveRun:

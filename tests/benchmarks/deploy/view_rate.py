@@ -22,6 +22,8 @@ METHOD = """\
 Method. mdms view starts the scene in real time and serves the page; headless chromium without a graphics processor
 shows it at 1280 x 800 with all layers, a selected cell with its registers, and a plot. A frame counts when the
 browser has painted it. Processor time, of a core, is of all processes of each part, in the same seconds."""
+LEAST = 5.0
+"""Least frames a second, at any size."""
 TICK = os.sysconf("SC_CLK_TCK")
 
 
@@ -59,8 +61,8 @@ def _everything(page: Watched) -> None:
     page.settled()
 
 
-def measure(scene: str, seconds: float) -> None:
-    """Show a run of a scene, and print a line."""
+def measure(scene: str, seconds: float) -> float:
+    """Show a run of a scene, print a line, and return the frames a second."""
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
         view = View(Path(folder), scene, "--duration", "1000")
         try:
@@ -91,6 +93,7 @@ def measure(scene: str, seconds: float) -> None:
                 page.page.evaluate("window.mdms.lost = () => {}")
                 view.end()
                 page.problems.clear()
+                return shown / wall
         finally:
             with view.process:
                 view.process.kill()
@@ -105,10 +108,14 @@ def main() -> None:
         "--scenes", nargs="*", default=["prototype", "elliptic", "large"], help="scenes to run"
     )
     parser.add_argument("--seconds", type=float, default=20.0, help="wall time of each")
+    parser.add_argument(
+        "--check", action="store_true", help=f"fail below {LEAST:g} frames a second, which are too few"
+    )
     options = parser.parse_args()
     print(METHOD, flush=True)
-    for scene in options.scenes:
-        measure(scene, options.seconds)
+    slow = [scene for scene in options.scenes if measure(scene, options.seconds) < LEAST]
+    if options.check and slow:
+        raise SystemExit(f"too few frames a second: {', '.join(slow)}")
 
 
 if __name__ == "__main__":

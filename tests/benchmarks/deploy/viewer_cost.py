@@ -33,6 +33,8 @@ share the cores.
 """
 
 
+LEAST = 0.95
+"""Least ratio in the median, beside a viewer that looks and beside one that is stopped."""
 _ATTACH_S = 2.0
 """Time in which a viewer attaches, s."""
 
@@ -70,6 +72,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=5, help="pairs of turns")
     parser.add_argument("--seconds", type=float, default=5.0, help="length of a turn")
     parser.add_argument("--rate", type=float, default=10.0, help="frames a second")
+    parser.add_argument("--check", action="store_true", help=f"fail if a viewer leaves less than {LEAST:g}")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--view", metavar="ENDPOINT", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -89,13 +92,21 @@ def main() -> None:
         name: {"ratio": statistics.median(ratios), "least": min(ratios), "greatest": max(ratios)}
         for name, ratios in found.items()
     }
+    slow = [name for name, row in rows.items() if name != "nobody" and row["ratio"] < LEAST]
     if options.json:
         print(json.dumps({"alone_ticks_per_s": statistics.median(alone), **rows}))
-        return
+    else:
+        print_rows(options, alone, rows)
+    if options.check and slow:
+        raise SystemExit(f"the run is too slow beside: {', '.join(slow)}")
+
+
+def print_rows(options: argparse.Namespace, alone: list[float], rows: dict[str, dict[str, float]]) -> None:
+    """Print the method and the figures."""
     print(METHOD.format(cells=options.cells, seconds=options.seconds, rate=options.rate, turns=options.turns))
     print(f"without a viewer: {statistics.median(alone):,.0f} ticks/s")
     for name, row in rows.items():
-        bound = "" if name == "nobody" else "  must be >= 0.95"
+        bound = "" if name == "nobody" else f"  must be >= {LEAST:g}"
         print(f"{name:10} ratio {row['ratio']:.3f}  ({row['least']:.3f} .. {row['greatest']:.3f}){bound}")
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.quiver import QuiverKey
 from matplotlib.text import Text
@@ -16,7 +17,7 @@ from PIL import Image
 
 from deploy.cli import main
 from deploy.plots import theme
-from deploy.plots.animation import draw_animation
+from deploy.plots.animation import _AnimatedMap, draw_animation
 from deploy.plots.arrows import round_below
 from deploy.plots.cell_values import RegisterValues, WheelSpeedValues
 from deploy.plots.kinds import KINDS, OF_CELLS, PlotSelection, draw_kind
@@ -31,6 +32,9 @@ FAULTS = (
     "faults=[{ kind = 'crash', at_s = 0.02, cell = [4, 4] }, { kind = 'wheel_weak', at_s = 0.03, cell = [5, 5], "
     "strength = 0.5 }, { kind = 'remove', at_s = 0.02, cell = [9, 9], until_s = 0.04 }]"
 )
+
+
+FIELD = "cells.parameters.field={kind='uniform',velocity_m_s=[0.1,0.0]}"
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +158,22 @@ def test_many_parcels_a_wide_array_and_no_parcel_fit_too(
         recording = load(made_up_run(**shape).record(tmp_path / str(number)))
         draw_kind(recording, kind, tmp_path / "x.svg")
     assert [clipped(figure, page) for figure, page in drawn] == [[]] * 4
+    if kind != "overview":
+        assert {axes.texts[0].get_text() for axes in drawn[2][0].axes} == {"no parcel"}
+
+
+def test_the_scale_of_a_single_cell_ends_on_the_page_and_warns_of_nothing(
+    tmp_path: Path, drawn: list[tuple[Figure, Any]]
+) -> None:
+    changes = ("array={rows=1,columns=1,pitch_m=0.1}", "parcels=[]", "duration_s=0.01")
+    scene = load_scene("elliptic", [Override.parse(text) for text in (*changes, FIELD)])
+    run(scene, RunOptions(0, "memory", output=tmp_path, picture=False), quiet=True)
+    for kind in ("overview", "field"):
+        draw_kind(load(tmp_path), kind, tmp_path / "x.png")
+    for figure, _ in drawn:
+        (key,) = figure.findobj(QuiverKey)
+        left, right = figure.axes[0].get_xlim()
+        assert key.X + key.U / key.Q.scale / (right - left) == pytest.approx(1.03)
 
 
 @pytest.mark.slow
@@ -194,11 +214,95 @@ def test_cells_of_an_animated_field_have_the_value_recorded_last(tmp_path: Path)
         assert picture.n_frames == 3
 
 
+def test_a_register_colours_the_field_of_an_instant(
+    tmp_path: Path, drawn: list[tuple[Figure, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = load_scene("heat", [Override(("duration_s",), 0.05, "")])
+    run(scene, RunOptions(0, "memory", output=tmp_path, picture=False, registers=4), quiet=True)
+    words = ["plot", str(tmp_path), "--kind", "field", "--at", "0.03", "--register", "firmware.speed_m_s"]
+    assert main(words) == 0
+    recording = load(tmp_path)
+    instant = int(np.argmin(np.abs(recording.time_s - 0.03)))
+    row = int(np.flatnonzero(recording.register_tick <= recording.tick[instant])[-1])
+    shown = np.ma.filled(drawn[0][0].axes[0].collections[0].get_array(), np.nan)
+    np.testing.assert_array_equal(shown, np.hypot(*recording.registers["firmware.speed_m_s"][row].T))
+    assert drawn[0][0].axes[1].get_ylabel() == "|firmware.speed_m_s|"
+    capsys.readouterr()
+    assert main([*words[:-1], "firmware.heat"]) == 2
+    assert (
+        "--register firmware.heat: must be one of firmware.counts, firmware.held" in capsys.readouterr().err
+    )
+
+
+def test_dead_cells_have_a_cross_at_an_instant_and_outlines_a_white_rim(
+    recordings: dict[str, Recording], drawn: list[tuple[Figure, Any]], tmp_path: Path
+) -> None:
+    recording = recordings["elliptic"]
+    for at_s in (0.01, 0.03, 0.1):
+        draw_kind(recording, "field", tmp_path / "x.png", PlotSelection(at_s=at_s))
+    crosses = [figure.axes[0].findobj(LineCollection) for figure, _ in drawn]
+    index = recording.header["cells"].index([4, 4])
+    counts = [len(found[0].get_segments()) // 2 for found in crosses]
+    assert counts == [0, 2, 1], "the crashed cell, and the module while it was pulled"
+    strokes = np.array(crosses[2][0].get_segments())
+    np.testing.assert_allclose(strokes.mean(axis=(0, 1)), recording.header["positions_m"][index], atol=1e-12)
+    assert ["cross: dead or lost" in figure.texts[1].get_text() for figure, _ in drawn] == [False, True, True]
+    (outline,) = drawn[0][0].axes[0].patches
+    assert outline.get_path_effects()
+
+
+@pytest.mark.slow
+def test_every_picture_names_scene_size_time_status_and_what_it_shows(
+    recordings: dict[str, Recording], drawn: list[tuple[Figure, Any]], tmp_path: Path
+) -> None:
+    run_of = "carousel  ·  400 cells  ·  3 parcels  ·  0.2 s  ·  ok"
+    wanted = {
+        "overview": "",
+        "time": "  ·  motion over time",
+        "phase": "  ·  phase planes: ring = start, dot = end",
+        "torque": "  ·  wheels' force and torque; gaps: a wheel sticks",
+        "loads": "  ·  loads and tractions at 0.2 s",
+        "field": "  ·  wheels at 0.2 s",
+    }
+    for kind in wanted:
+        draw_kind(recordings["carousel"], kind, tmp_path / "x.png")
+    for (figure, _), more in zip(drawn, wanted.values(), strict=True):
+        title, *lines = [text.get_text() for text in figure.texts]
+        assert title == "Three parcels are moved round and turned independently"[: len(title.rstrip("…"))] + (
+            "…" if title.endswith("…") else ""
+        )
+        assert "  ·  ".join(lines) == run_of + more
+
+
+@pytest.mark.slow
+def test_an_mp4_has_the_frames_of_the_run_with_numbers_and_crosses(
+    recordings: dict[str, Recording], tmp_path: Path
+) -> None:
+    imageio = pytest.importorskip("imageio_ffmpeg")
+    path = tmp_path / "run.mp4"
+    draw_animation(recordings["carousel"], path)
+    frames, seconds = imageio.count_frames_and_secs(str(path))
+    assert (frames, seconds) == (5, pytest.approx(0.25))  # 0.2 s at 20 a second, both ends included
+    scene = _AnimatedMap(recordings["elliptic"])
+    scene.show(len(recordings["elliptic"].tick) - 1)
+    assert len(scene.figure.axes[0].findobj(LineCollection)[0].get_segments()) == 2
+    scene = _AnimatedMap(recordings["carousel"], WheelSpeedValues(recordings["carousel"]))
+    assert all(body.get_path_effects() for body in scene._bodies)
+    scene.show(0)
+    numbers = {text.get_text(): text.get_position() for text in scene.figure.axes[0].texts}
+    assert numbers["1"] == tuple(recordings["carousel"].parcels[0, 1, :2])
+    assert numbers.keys() >= {"0", "1", "2"}
+
+
 @pytest.mark.parametrize(
     ("words", "rule"),
     [
         (["--kind", "time", "--at", "0.1"], "--at: goes with --kind loads or field, not time"),
         (["--kind", "field", "--at", "99"], "--at 99: the recording has the time from 0 to"),
+        (
+            ["--kind", "loads", "--register", "u"],
+            "--register: goes with --kind spacetime or field, not loads",
+        ),
         (["--animate", "x.avi"], "animation x.avi: its name must end in .mp4 or .gif"),
         (["--animate", "x.gif", "--kind", "time"], "--animate: goes without --output and --at, and"),
         (["--kind", "loads"], "its scene is not one of this version"),
@@ -221,5 +325,8 @@ def test_an_mp4_without_an_encoder_is_refused_with_the_rule(
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     assert main(["plot", str(tmp_path), "--animate", str(tmp_path / "x.mp4")]) == 2
-    assert "MP4 needs ffmpeg: install ffmpeg, or pip install imageio-ffmpeg" in capsys.readouterr().err
+    assert (
+        "MP4 needs ffmpeg: install ffmpeg, or the extra video: pip install 'mdms-emulator[video]'"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "x.mp4").exists()

@@ -81,6 +81,7 @@ class Watched:
         page.on("console", lambda message: self._note(message.type, message.text))
         page.on("pageerror", lambda error: self.problems.append(f"page: {error}"))
         page.on("request", lambda request: self._request(request.url))
+        page.on("websocket", lambda socket: self._request(socket.url))
         page.on("requestfailed", lambda request: self.problems.append(f"failed: {request.url}"))
         page.goto(url)
         self.until("window.mdms && mdms.page.frames > 1")

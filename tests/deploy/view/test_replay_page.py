@@ -85,6 +85,19 @@ def test_loads_sum_to_the_weight_and_are_in_the_inspector(page: Watched, recordi
     page.until("mdms.page.state.legend.name === 'traction' && mdms.page.state.legend.high > 0")
 
 
+def test_the_quantity_that_colours_cells_is_plotted_of_the_selected_cell(
+    page: Watched, recording: Recording
+) -> None:
+    page.page.click("#tab-quantity")
+    page.send("select_cell", row=14, column=15)
+    page.page.select_option("#colour", "load")
+    page.until("mdms.page.channel.lines?.title === 'load of cell 14,15'")
+    line = "Bokeh.documents[0].get_model_by_name('plot').renderers[0].data_source.data.y"
+    page.until(f"{line}.length > 100")
+    most = max(recording.tractions(row).load_n[14 * 20 + 15] for row in range(0, len(recording.tick), 2))
+    page.until(f"Math.abs(Math.max(...{line}) - {most}) < 1e-9")
+
+
 def test_it_plays_both_ways_at_a_speed(page: Watched) -> None:
     page.page.locator("#slider").fill("200")
     page.until("mdms.page.state.index === 200")
@@ -144,6 +157,46 @@ def test_events_and_faults_are_listed_and_a_click_jumps_there(page: Watched, rec
     assert page.fact("State", "health") == "dead or lost"
 
 
+def test_event_keys_go_to_the_nearest_event_either_way_and_the_list_follows(
+    page: Watched, recording: Recording
+) -> None:
+    page.page.click("#tab-events")
+    moments = sorted(float(record["time_s"]) for record in (*recording.events, *recording.faults))
+    instants = np.searchsorted(recording.time_s, np.array(moments) - 1e-12)
+    for start, key, wanted in (
+        (100, "]", int(instants[instants > 100].min())),
+        (100, "[", int(instants[instants < 100].max())),
+    ):
+        page.page.locator("#slider").fill(str(start))
+        page.until(f"mdms.page.state.index === {start}")
+        assert page.press(key)["index"] == wanted
+        row = page.page.locator("#rows [aria-current]").inner_text()
+        last = max(moment for moment in moments if moment <= recording.time_s[wanted])
+        assert row.startswith(f"{last:.3f} s")
+    assert page.page.is_hidden("#subject"), "of a plot that isn't there"
+    page.press("Home", "[")
+    assert page.state()["notice"]["text"] == "there is no event before this instant"
+
+
+def test_space_and_arrows_keep_their_meaning_after_clicks(page: Watched) -> None:
+    page.page.click("#layer-messages")
+    page.page.locator("#colour").click(position={"x": 20, "y": 40})
+    page.page.click("#tab-angle")
+    page.press("ArrowRight", "ArrowRight")
+    assert page.state()["index"] == 2
+    assert page.press("Space")["playing"]
+    assert not page.press("Space")["playing"]
+    page.page.focus("#colour")
+    assert page.press("w")["selected"] is None, "a list has its own keys"
+    assert page.press("Escape", "w")["selected"] is not None
+    assert page.press("Escape")["selected"] is None
+    page.page.focus("#layer-messages")
+    before = page.page.is_checked("#layer-messages")
+    page.press("Space")
+    assert page.page.is_checked("#layer-messages") is not before, "by keyboard alone boxes keep their key"
+    page.page.uncheck("#layer-messages")
+
+
 def test_arrows_are_drawn_for_the_cells_in_sight(page: Watched) -> None:
     count = "mdms.page.plot.document.get_model_by_name('arrows').data.x0.length"
     page.page.locator("#slider").fill("100")  # wheels stand at the first instant
@@ -152,6 +205,19 @@ def test_arrows_are_drawn_for_the_cells_in_sight(page: Watched) -> None:
     page.until(f"{count} > 0 && {count} < 100")
     page.page.uncheck("#layer-arrows")
     page.until(f"{count} === 0")
+
+
+def test_errors_and_requests_beyond_loopback_would_be_noticed(browser: Browser, url: str) -> None:
+    with opened(browser, url) as page:
+        assert page.problems == []
+        page.page.evaluate("console.error('wrong'); fetch('http://192.0.2.1/').catch(() => {}); 0")
+        page.page.evaluate(
+            "new WebSocket('ws://192.0.2.1/'); setTimeout(() => { throw Error('thrown'); }); 0"
+        )
+        page.page.wait_for_timeout(300)
+        assert {"console error: wrong", "page: thrown", "request: http://192.0.2.1/"} <= set(page.problems)
+        assert "request: ws://192.0.2.1/" in page.problems
+        page.problems.clear()
 
 
 RATIO = """(() => {

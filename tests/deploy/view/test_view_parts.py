@@ -10,18 +10,22 @@ import numpy as np
 import pytest
 
 from deploy.control.server import read_request
+from deploy.faults.fault_state import ALIVE, DEAD, FAULTY, FaultState
 from deploy.faults.registry import KINDS
+from deploy.scenes.files import load_scene
 from deploy.view.colouring import Colouring
 from deploy.view.fault_menu import fault_menu, fault_request
-from deploy.view.fault_state import ALIVE, DEAD, FAULTY, FaultState
 from deploy.view.geometry import CellGrid, arrows, broken_line, outlines, trails
 from deploy.view.history import History
 from deploy.view.inspector import _register_sections, supports
+from deploy.view.layers import Scenery, draw_arrows
+from deploy.view.map_figure import MapFigure
 from deploy.view.palette import DARK, LIGHT, rgba, scale_of
 from deploy.view.player import Player
 from deploy.view.plot_figure import PlotFigure
 from deploy.view.series import Series
 from deploy.view.source import Instant, RunSource
+from plant.faults.base import WheelFault
 
 CELLS = [[0, 0], [0, 1], [1, 0], [1, 2]]
 PLACES = [[0.05, 0.05], [0.15, 0.05], [0.05, 0.15], [0.25, 0.15]]
@@ -71,6 +75,28 @@ def test_cells_are_faulty_while_a_fault_is_active_and_dead_until_they_rejoin() -
     assert state.health(3.5).tolist() == [ALIVE, DEAD, DEAD, ALIVE]
     assert state.health(9.0).tolist() == [ALIVE, ALIVE, DEAD, ALIVE]
     assert state.active_at(1.5, 3) == [(0, "wheel_stuck")]
+
+
+def test_thousands_of_faults_are_no_burden_and_are_found_in_any_order_of_time() -> None:
+    begin = [
+        {"time_s": float(k), "kind": "wheel_stuck", "phase": "begins", "number": k, "cells": [CELLS[k % 4]]}
+        for k in range(20_000)
+    ]
+    end = [{**one, "time_s": one["time_s"] + 20_000.0, "phase": "ends"} for one in begin]
+    state = FaultState(CELLS)
+    state.add(begin)
+    assert len(state.active(19_999.5)) == 20_000, "at once: a copy for each record would take gigabytes"
+    state.add(end)
+    for time_s, active in (
+        (-1.0, 0),
+        (0.0, 1),
+        (30_000.5, 9_999),
+        (3.5, 4),
+        (39_999.0, 0),
+        (20_000.0, 19_999),
+    ):
+        assert len(state.active(time_s)) == active
+        assert (state.health(time_s) == FAULTY).sum() == min(active, 4)
 
 
 # --- history ---------------------------------------------------------------------------------------
@@ -124,6 +150,11 @@ def test_a_player_of_a_run_follows_until_it_looks_back() -> None:
     assert player.index == 5
     player.follow()
     assert player.index == 10
+    player.step(-2)
+    player.step(1)
+    assert not player.following
+    player.step(1)
+    assert player.following, "whoever steps on to the newest instant has the run at hand again"
 
 
 # --- geometry --------------------------------------------------------------------------------------
@@ -182,6 +213,41 @@ def test_the_axis_of_a_plot_has_limits_while_its_parcel_is_absent() -> None:
     assert plot.figure.y_range.start < 2.0 < 4.0 < plot.figure.y_range.end
 
 
+# --- map -------------------------------------------------------------------------------------------
+
+
+def test_parcels_have_their_numbers_where_there_are_several_and_a_rim_on_cells_of_their_colour() -> None:
+    square = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    states = np.array([[1.0, 2, 0, 0, 0, 0], [np.nan] * 6, [3.0, 4, 0, 0, 0, 0]])
+    for count, numbers in ((3, ["0", "2"]), (1, [])):
+        figure = MapFigure(CellGrid(CELLS, PLACES, 0.1), [square] * count, [], [("out", square)])
+        figure.paint(LIGHT)
+        figure.put_parcels(states[:count], None)
+        assert list(figure.sources["numbers"].data["text"]) == numbers
+        casing, parcel = figure._glyphs["casings"].glyph, figure._glyphs["parcels"].glyph
+        assert casing.line_color == LIGHT.paper != LIGHT.lines[0]
+        assert casing.line_width > 3.5, "wider than the outline of the selected parcel"
+        assert parcel.line_color == "colour"
+    assert list(figure.sources["exit names"].data["text"]) == ["out"]
+    assert (figure.figure.xaxis[0].axis_label, figure.figure.yaxis[0].axis_label) == ("m", "m")
+
+
+@pytest.mark.parametrize(("seen", "drawn"), [(2_500, 2_500), (2_501, 0)])
+def test_arrows_are_drawn_while_at_most_2500_cells_are_in_sight(seen: int, drawn: int) -> None:
+    cells = [[0, k] for k in range(seen + 100)]
+    grid = CellGrid(cells, [[0.1 * k, 0.0] for k in range(len(cells))], 0.1)
+    figure = MapFigure(grid, [], [], [])
+    speeds = np.ones((len(cells), 2))
+    shown = Instant(
+        0, 0.0, np.zeros((0, 6)), speeds, np.zeros((len(cells), 1), np.bool_), np.zeros(0, np.uint8)
+    )
+    in_sight = grid.in_sight(-0.05, 0.1 * (seen - 1), -1.0, 1.0)
+    assert len(in_sight) == seen
+    run: Any = None
+    draw_arrows(figure, Scenery(run, grid, (), 0, shown, in_sight, 1.0, run))
+    assert len(figure.sources["arrows"].data["x0"]) == drawn
+
+
 # --- colours ---------------------------------------------------------------------------------------
 
 
@@ -208,13 +274,19 @@ def test_the_limits_of_a_scale_are_those_of_the_whole_recording() -> None:
     assert first.tolist()[:2] == [scale_of(LIGHT)[-1], rgba(LIGHT.scale[0])]
 
 
-def test_every_kind_of_fault_has_a_button_whose_request_the_run_accepts() -> None:
-    kinds = [entry["kind"] for entry in fault_menu()]
+@pytest.mark.parametrize("motors", [False, True])
+def test_every_kind_of_fault_has_a_button_whose_request_the_run_accepts(motors: bool) -> None:
+    kinds = [entry["kind"] for entry in fault_menu(motors=motors)]
     assert sorted([*kinds, "add"]) == sorted(KINDS)
+    effects = load_scene("prototype" if motors else "elliptic").effects
     for kind in kinds:
-        request: Any = read_request(json.dumps(fault_request(kind, 3, 4)).encode())
+        request: Any = read_request(json.dumps(fault_request(kind, 3, 4, motors=motors)).encode())
         assert request.fault.kind == kind
-    turned: Any = read_request(json.dumps(fault_request("link_down", 3, 4, {"side": "north"})).encode())
+        if isinstance(request.fault, WheelFault):
+            assert list(request.fault.setting_problems(effects)) == []
+    turned: Any = read_request(
+        json.dumps(fault_request("link_down", 3, 4, {"side": "north"}, motors=motors)).encode()
+    )
     assert turned.fault.side == "north"
 
 
