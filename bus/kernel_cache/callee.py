@@ -122,5 +122,5 @@ on every run. No wrappers for calls from Python: they would double the compiling
 kernels allocate nothing, and counting cost a fifth of the time."""
 
 inlined = njit(forceinline=True, **_OPTIONS, **_PIPELINE)
-"""As ``kernel``, of one that becomes part of each caller: arrays as arguments are numbers, some of which a call puts into
-memory and the callee takes from there again. With thirty arrays that takes longer than a cell's tick."""
+"""Decorator of a kernel that becomes part of each caller. A call's arguments go through memory, seven numbers an
+array: with thirty arrays that takes as long as a cell's tick."""

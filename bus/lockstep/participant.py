@@ -39,7 +39,7 @@ _LEAVE_S: Final = 5.0
 
 
 def _is_small(layouts: tuple[PayloadLayout, PayloadLayout] | None) -> bool:
-    """Whether a shard has one payload each way, and its answer fits where the transport collects what it sends."""
+    """Whether a shard has one payload each way, and the answer is of at most ``_DIRECT_BYTES``."""
     return layouts is not None and len(layouts[1].constant) <= _DIRECT_BYTES
 
 

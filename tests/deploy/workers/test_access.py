@@ -82,7 +82,7 @@ def test_cells_join_in_a_folder_of_this_user_s_alone_that_goes_with_the_run(moto
 def test_listeners_have_every_kind_of_message_and_the_tokens_and_nothing_is_copied_for_nobody(
     motors: Scene,
 ) -> None:
-    with opened(motors) as (access, hub), plain_client(access.locator) as listener:
+    with opened(motors, wire="packed") as (access, hub), plain_client(access.locator) as listener:
         cells = open_client(access.join)
         kinds = ("sense", "drive", "to/1", "report", "registers", "snapshot")
         keys = ["plant/control", *(f"shard/0/{leaf}" for leaf in kinds)]
