@@ -66,10 +66,11 @@ class ScalarProgram(ScalarFirmware):
         constants_type: Type of the record of constants.
         state_type: Type of the record of a cell's state, aligned or packed; truth values are ``u1``.
         compared_ticks: Ticks in which the compiled step is compared with the same source in Python.
+        is_brief: Whether a step always returns soon.
     """
 
     compared_ticks: ClassVar[int] = COMPARED_TICKS
-    is_brief: ClassVar[bool] = False  # a program of a user may loop
+    is_brief: ClassVar[bool] = False  # a program may loop
     constants_type: ClassVar[np.dtype[Any]] = np.dtype([("none", "u1")])
     state_type: ClassVar[np.dtype[Any]]
 

@@ -89,6 +89,7 @@ class Distance2Slots(ScalarProgram):
     Parameters = Distance2SlotsParameters
     message = np.dtype([(name, "u1") for name in ("slot", *SIDES)])
     observable = "slot"
+    is_brief = True
     compared_ticks: ClassVar[int] = 0
     constants_type = np.dtype([("slots", "<i8"), ("ttl_periods", "<i8")])
     state_type = np.dtype(

@@ -68,6 +68,7 @@ class PushSum(ScalarProgram):
     Parameters = PushSumParameters
     message = np.dtype([("mass", "<i8"), ("weight", "<i8")])
     observable = "estimate"
+    is_brief = True
     compared_ticks: ClassVar[int] = 0
     constants_type = np.dtype(
         [("ttl_periods", "<i8"), ("low", "<f8"), ("high", "<f8"), ("vx_m_s", "<f8"), ("vy_m_s", "<f8")]

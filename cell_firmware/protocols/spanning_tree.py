@@ -78,6 +78,7 @@ class SpanningTree(ScalarProgram):
         ]
     )
     observable = "distance"
+    is_brief = True
     compared_ticks: ClassVar[int] = 0
     constants_type = np.dtype([("limit", "<i8"), ("ttl_periods", "<i8"), ("speed_m_s", "<f8")])
     state_type = np.dtype(

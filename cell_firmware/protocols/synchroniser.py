@@ -59,6 +59,7 @@ class Synchroniser(ScalarProgram):
     Parameters = SynchroniserParameters
     message = np.dtype([("pulse", "<u4"), ("value", "<f8"), ("previous", "<f8")])
     observable = "value"
+    is_brief = True
     counters: ClassVar[Mapping[str, int]] = {"pulse": PULSES}
     compared_ticks: ClassVar[int] = 0
     constants_type = np.dtype(

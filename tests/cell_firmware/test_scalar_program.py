@@ -110,6 +110,10 @@ def test_both_forms_give_the_same_drives_in_the_compared_ticks_and_after(
     kernel = shard(wrapping)._kernel
     assert kernel is not None
     assert kernel.run(COMPARED_TICKS - 1) is None
+    # only what says that it returns soon is stepped in a thread of the transport
+    assert not shard(kind).is_brief
+    monkeypatch.setattr(kind, "is_brief", True)
+    assert shard(kind).is_brief
 
 
 def test_a_step_in_python_reads_and_writes_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
