@@ -289,7 +289,7 @@ def test_the_command_traces_and_draws(counting: Path, capsys: pytest.CaptureFixt
         (["--kind", "phase", "--cells", "1,1"], "--cells: goes with --kind sequence or spacetime, not phase"),
         (
             ["--kind", "sequence", "--register", "x"],
-            "--register: goes with --kind spacetime, or field with --animate, not sequence",
+            "--register: goes with --kind spacetime or field, not sequence",
         ),
     ):
         assert main(["plot", str(output), *wrong]) == 2
