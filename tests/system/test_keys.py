@@ -103,7 +103,7 @@ def test_strangers_and_insiders_are_refused_counted_and_shown_and_the_digest_sta
 ) -> None:
     scene = small()
     mine, theirs = tmp_path / "mine", keys_for(scene, tmp_path / "theirs")
-    status, stdout, stderr = mdms("keys", mine, scene, "--processes", 2, "--json").end()
+    status, stdout, stderr = mdms("keys", mine, scene, "--processes", 2, "--wire", "packed", "--json").end()
     assert (status, json.loads(stdout)["folder"], stderr) == (0, str(mine), "")
     listen, join = f"tls/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
     options = ("--processes", 2, "--duration", DURATION_S, "--keys", mine, "--no-picture", "--json")

@@ -74,7 +74,9 @@ def test_a_listener_that_never_reads_and_one_that_is_stopped_cost_a_packed_run_o
 ) -> None:
     monkeypatch.setenv("ZENOH_RUNTIME", ONE_THREAD)
     scene = thousand(tmp_path)
-    running = mdms("run", scene, "--processes", 2, "--no-picture", "--json", "--realtime", SPEED)
+    running = mdms(
+        "run", scene, "--processes", 2, "--wire", "packed", "--no-picture", "--json", "--realtime", SPEED
+    )
     connect = address(running)
     listeners = [listening(connect, how) for how in ("never", "stops", "reads")]
     reader = listeners[-1]

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -48,6 +49,25 @@ def test_every_worker_is_called_with_its_own_number() -> None:
         crew.start(os._exit, ["zero", "one", "two"])
         assert crew.wait(20.0)
         assert crew.ended == {0: 0, 1: 1, 2: 2}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="scheduling policies are Linux's")
+def test_workers_interrupt_nothing_unless_another_policy_was_chosen() -> None:
+    found = dict[int, int]()
+
+    def look(policy: int) -> None:
+        os.sched_setscheduler(0, policy, os.sched_param(0))  # of this thread, and of what it starts
+        with WorkerPool() as crew:
+            crew.start(forked.exit_with_policy, ["only"])
+            assert crew.wait(20.0)
+            found[policy] = crew.ended[0]
+
+    for policy in (os.sched_getscheduler(0), os.SCHED_IDLE):
+        thread = threading.Thread(target=look, args=(policy,))
+        thread.start()
+        thread.join()
+    assert found.pop(os.SCHED_IDLE) == os.SCHED_IDLE
+    assert set(found.values()) == {os.SCHED_BATCH}
 
 
 def test_a_worker_that_raises_is_reported_with_one_line_and_its_traceback() -> None:
