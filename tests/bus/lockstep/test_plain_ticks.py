@@ -267,6 +267,43 @@ def _answer(
             tick += 1
 
 
+def answered_from_2(system: System, between: Callable[[], None]) -> list[int]:
+    """Run two ticks, have those from 2 on answered directly, and return these; ``between`` comes before tick 3."""
+    for tick, plain in ((0, False), (1, True)):
+        run_tick(system, tick, plain=plain)
+    member, ticks = system.members[0], list[int]()
+    codec = member._form
+
+    def step(tick: int, payload: bytes) -> bytes:
+        ticks.append(tick)
+        return codec.drive_payloads(system.drive(0, tick), system.links(0, tick))[0]
+
+    reader = threading.Thread(target=member.answer_directly, args=(2, step), daemon=True)
+    reader.start()
+    for tick in (2, 3):
+        if tick == 3:
+            between()
+        system.host.publish(system.sense(tick))
+        for shard in (1, 2):
+            gather(system, tick, shard)
+        if tick == 2:
+            system.host.gather(2)
+    reader.join(1.0)
+    return ticks if not reader.is_alive() else [*ticks, -1]
+
+
+def test_the_last_tick_before_a_scheduled_death_is_not_answered_directly(memory: Network) -> None:
+    system = System(memory, Partition.even(grid(1, 3), 3), "relayed", MESSAGE, direct=True).start()
+    system.members[0].schedule_death([0], 4)
+    assert answered_from_2(system, lambda: None) == [2]
+
+
+def test_no_tick_is_answered_directly_once_observers_are_to_be_looked_for(memory: Network) -> None:
+    system = System(memory, Partition.even(grid(1, 3), 3), "relayed", MESSAGE, direct=True).start()
+    registers = system.members[0]._registers
+    assert answered_from_2(system, lambda: setattr(registers, "next_look", 0.0)) == [2]
+
+
 def is_direct(cells: Partition, form: WireFormat, latency: BusSpec = NO_LATENCY, direct: bool = True) -> bool:
     system = System(Network("memory"), cells, form, MESSAGE, latency=latency, direct=direct)
     return system.members[0].is_direct
