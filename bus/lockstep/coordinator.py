@@ -236,14 +236,18 @@ class Coordinator:
         puts = list(
             zip(self._sense, self._form.sense_payloads(frame, self._relayed.pop(due, None)), strict=True)
         )
+        live = len(puts)
         if not self._membership.unchanged:
             # A dead cell's process learns from senses that its last drive has arrived: see Participant.confirmed. It
-            # has those of its first dead tick; ahead of the drives it takes more of them.
+            # has those of its first dead tick; ahead of the drives it takes more of them. A run that goes on from a
+            # checkpoint has no such process, so these are not counted.
+            ends = self._drives.end_tick
             last = frame.tick - (self.lookahead + 1 if self.lookahead else 0)
-            puts = [put for put, until in zip(puts, self._drives.end_tick, strict=True) if until > last]
+            puts = [put for put, until in zip(puts, ends, strict=True) if until > last]
+            live = sum(until > frame.tick for until in ends)
         self._drives.latest = frame.tick
         self._endpoint.put_all(puts)
-        self.counters.sent += len(puts)
+        self.counters.sent += live
 
     def gather(self, tick: int) -> tuple[DriveFrame, list[Loss]]:
         """Wait until every expected drive for ``tick`` has arrived or its cell has been dropped.
@@ -352,7 +356,8 @@ class Coordinator:
         Call when its tick is about to begin, and all drives before it have been gathered.
         """
         assert self._keeping is not None
-        self._keeping.record(self.counters, self._relayed)
+        live = self._membership.shards(self._keeping.tick - 1)
+        self._keeping.record(self.counters, self._relayed, live)
 
     def poll_snapshot(self) -> GlobalSnapshot | None:
         """Return the global snapshot once all requested shards have answered, else None."""

@@ -157,18 +157,25 @@ class SnapshotCollector:
 
     Args:
         tick: Tick before which the state is saved.
-        shards: Shards that must answer.
+        shards: Shards that are asked.
     """
 
     def __init__(self, tick: int, shards: Iterable[int]) -> None:
         self.tick = tick
-        self._shards = frozenset(shards)
+        self._asked = self._awaited = frozenset(shards)
         self._snapshots: dict[int, ShardSnapshot] = {}
         self._counts: MessageCounters | None = None
         self._relayed: dict[int, MessageBytes] = {}
 
-    def record(self, own: MessageCounters, relayed: Mapping[int, RelayedLinks]) -> None:
-        """Record the plant's counters before the tick, and the messages still to be passed on."""
+    def record(self, own: MessageCounters, relayed: Mapping[int, RelayedLinks], live: Iterable[int]) -> None:
+        """Record the plant's side before the tick.
+
+        Args:
+            own: Its counters.
+            relayed: Messages still to be passed on, by the tick in which they were sent.
+            live: Shards with a live cell in the tick before. No other answers: it ended after the request.
+        """
+        self._awaited &= frozenset(live)
         self._counts = own + MessageCounters()
         self._relayed = {
             sent_in: (links.sent.tobytes(), links.message.tobytes()) for sent_in, links in relayed.items()
@@ -180,14 +187,14 @@ class SnapshotCollector:
         Raises:
             WireError: The snapshot was not requested.
         """
-        if snapshot.tick != self.tick or shard not in self._shards:
+        if snapshot.tick != self.tick or shard not in self._asked:
             raise WireError("snapshot", "tick", "was not requested")
         self._snapshots[shard] = snapshot
 
     @property
     def missing(self) -> list[int]:
         """Shards that have not answered."""
-        return sorted(self._shards - self._snapshots.keys())
+        return sorted(self._awaited - self._snapshots.keys())
 
     def combined(self, left: dict[int, MessageCounters]) -> GlobalSnapshot | None:
         """Return the global snapshot once it is complete, else None.
@@ -197,9 +204,9 @@ class SnapshotCollector:
         """
         if self._counts is None or self.missing:
             return None
-        own = [counts for shard, counts in left.items() if shard not in self._shards]
-        counters = [MessageCounters(*snapshot.counts) for snapshot in self._snapshots.values()]
-        shards = sorted(self._snapshots)
+        own = [counts for shard, counts in left.items() if shard not in self._awaited]
+        shards = sorted(self._awaited)
+        counters = [MessageCounters(*self._snapshots[shard].counts) for shard in shards]
         return GlobalSnapshot(
             self.tick,
             sum((*own, *counters), self._counts),

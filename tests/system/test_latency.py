@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from bus.spec import BusSpec
+from deploy.checkpoints.checkpointer import Checkpointer
 from deploy.checkpoints.store import CheckpointStore, find_checkpoint, options_of, scene_of
 from deploy.recordings.reader import load
 from deploy.runs.backends import InProcess
@@ -19,6 +21,7 @@ from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
 from deploy.workers.plan import RunOptions
+from plant.process import PlantProcess
 from tests.system.schedules import Schedule, carry_out
 from tests.system.test_same_digest import CRASHES, EACH, TALKERS, WAYS, Way
 
@@ -151,6 +154,34 @@ def test_a_run_goes_on_from_a_checkpoint_with_drives_and_messages_under_way(
     resumed = run(scene_of(checkpoint), again, quiet=True, resumed=checkpoint).summary
     assert resumed.digest == whole.digest
     # how much still comes from a dropped cell is a matter of the wall clock
+    assert replace(resumed.messages, late=0) == replace(whole.messages, late=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bus", [LATENCIES[0], LATENCIES[2]], ids=["ahead", "prompt"])
+@pytest.mark.parametrize("after", range(-1, 5))
+def test_payloads_are_counted_alike_from_a_checkpoint_just_after_a_death(
+    after: int, bus: BusSpec, small: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = _scene(small, TALKERS, bus, LAST).model_copy(update={"duration_s": 0.5})
+    requested = scene.tick_at(0.45) + after - 1
+
+    def only_once(checkpointer: Checkpointer, process: PlantProcess) -> None:
+        due = process.tick == requested
+        monkeypatch.setattr(checkpointer, "_last", -math.inf if due else math.inf)
+        before_tick(checkpointer, process)
+
+    before_tick = Checkpointer.before_tick
+    monkeypatch.setattr(CheckpointStore, "clear", lambda _: None)
+    monkeypatch.setattr(Checkpointer, "before_tick", only_once)
+    whole = run(
+        scene, RunOptions("each", output=tmp_path, picture=False, checkpoint_s=1e9), quiet=True
+    ).summary
+    (tmp_path / "summary.json").unlink()
+    checkpoint = find_checkpoint(tmp_path)
+    assert checkpoint.tick == requested + 1
+    again = options_of(checkpoint, RunOptions(output=tmp_path, picture=False))
+    resumed = run(scene_of(checkpoint), again, quiet=True, resumed=checkpoint).summary
     assert replace(resumed.messages, late=0) == replace(whole.messages, late=0)
 
 

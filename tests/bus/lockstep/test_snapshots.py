@@ -48,7 +48,7 @@ def test_messages_that_are_no_pairs_of_bytes_are_refused(links: object) -> None:
 def test_the_snapshot_is_complete_once_every_shard_has_responded() -> None:
     keeping = SnapshotCollector(7, [0, 2])
     keeping.handle(2, SNAPSHOT)
-    keeping.record(MessageCounters(10, 10), {})
+    keeping.record(MessageCounters(10, 10), {}, [0, 2])
     assert keeping.missing == [0]
     assert keeping.combined({}) is None
     keeping.handle(0, SNAPSHOT._replace(state=b"other"))
@@ -58,6 +58,16 @@ def test_the_snapshot_is_complete_once_every_shard_has_responded() -> None:
     assert together.links == dict.fromkeys((0, 2), SNAPSHOT.links)
     # the plant's side, both that answered, and one that had left; not what one that answered said as it left
     assert (together.counts.sent, together.counts.delivered) == (10 + 4 + 4 + 100, 10 + 3 + 3)
+
+
+def test_a_shard_that_ended_after_the_request_is_not_waited_for() -> None:
+    keeping = SnapshotCollector(7, [0, 2])
+    keeping.handle(2, SNAPSHOT)
+    keeping.record(MessageCounters(), {}, [2])
+    together = keeping.combined({0: MessageCounters(100, 0)})
+    assert together is not None
+    assert together.states.keys() == together.links.keys() == {2}
+    assert together.counts.sent == 4 + 100
 
 
 @pytest.mark.parametrize(("shard", "tick"), [(1, 7), (0, 8)])

@@ -37,7 +37,7 @@ class Books:
 
     def record_snapshot(self) -> None:
         assert self.keeping is not None
-        self.keeping.record(MessageCounters(), {})
+        self.keeping.record(MessageCounters(), {}, [0])
 
     def poll_snapshot(self) -> Any:
         return None if self.keeping is None else self.keeping.combined({})
