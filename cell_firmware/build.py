@@ -146,6 +146,8 @@ def kernel_modules(controller: Controller, effects: CellEffects) -> tuple[str, .
             modules.append("cell_firmware.kernels.draws")
         if has_hardware(controller):
             modules.append("cell_firmware.kernels.board")
+        if inside.links is not None and inside.links.kernels:
+            modules.append(inside.links.kernels)
         if inside.firmware.kernels and has_kernels(controller):
             modules += ["cell_firmware.kernels.payload", inside.firmware.kernels]
     if effects.sensor is not None and effects.sensor.debounce_ticks > 1:

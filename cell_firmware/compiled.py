@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,14 @@ from cell_firmware.kernels.arguments import message_bytes, readable
 from cell_firmware.kernels.cell import BOARD
 from cell_firmware.kernels.cell import METER as METER_RECORD
 from cell_firmware.kernels.clock import CLOCK
-from cell_firmware.kernels.lines import LINE, LINES
+from cell_firmware.kernels.lines import BYTES, LINE, LINES
 from cell_firmware.kernels.speed_loop import LOOP
 from cell_firmware.kernels.speed_loop import WHEELS as WHEELS_RECORD
 from cell_firmware.kernels.watchdog import WATCHDOG
 from cell_firmware.random_draws import CellStreams
+
+if TYPE_CHECKING:
+    from cell_firmware.effects.serial.memory import UartMemory
 
 Bytes = NDArray[np.uint8]
 
@@ -61,6 +64,7 @@ class Hardware:
         clocks, watches, wheels, cells, meters: ``(n,)`` records; none of a part that the boards don't have.
         waiting, going: ``(n, 4, size)``.
         there: ``(n, slots, 4, size)``.
+        uarts: Serial lines byte by byte; None without. The other arrays of lines have nothing then.
     """
 
     parts: Mapping[str, State]
@@ -72,6 +76,7 @@ class Hardware:
     waiting: Bytes
     going: Bytes
     there: Bytes
+    uarts: UartMemory | None
 
 
 @final
@@ -139,6 +144,11 @@ class CompiledController(Controller):
     def message_type(self) -> np.dtype[Any] | None:
         """Type of the programs' messages."""
         return self._message
+
+    @property
+    def burst_bytes(self) -> int:
+        """Bytes of what a serial line carries in a tick, where it is simulated byte by byte; else 0."""
+        return self._line.itemsize if self._line is not None and self.constants[1]["kind"] == BYTES else 0
 
     @property
     def general(self) -> Controller:
@@ -283,12 +293,16 @@ class CompiledController(Controller):
 
         def messages(array: str) -> Bytes:
             own = _messages(n, self._message)
-            if array in state.parts.get(LINKS, {}):
+            if uarts is None and array in state.parts.get(LINKS, {}):
                 own[...] = state.parts[LINKS][array]
                 parts[LINKS][array] = own
             return message_bytes(own)
 
-        cells = records(LINKS, LINE)
+        uarts = None if self._board.links is None else self._board.links.bind(state.parts[LINKS])
+        if uarts is not None:
+            uarts.describe(self.constants[1])
+            parts[LINKS] = dict(uarts.parts)
+        cells = records(LINKS, LINE) if uarts is None else np.zeros(0, dtype=LINE)
         there = np.zeros((n, self._slots, 4), dtype=self._line or np.uint8)
         for slot in range(self._slots):
             at_ns, message = f"there_{slot}_ns", f"message_{slot}"
@@ -309,6 +323,7 @@ class CompiledController(Controller):
             mailbox if LINKS in parts and "message" in parts[LINKS] else messages("waiting"),
             messages("going"),
             message_bytes(there),
+            uarts,
         )
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.controller import StepTime
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Outbox, State
+
+if TYPE_CHECKING:
+    from cell_firmware.effects.serial.memory import UartMemory
 
 
 class BoardComponent(ABC):
@@ -77,7 +80,13 @@ class LinkDriver(BoardComponent):
         line: Type of what a line carries in a tick.
     """
 
+    kernels: ClassVar[str] = ""
+    """Module of the links' own kernels; empty: those of ``kernels.lines`` serve."""
     line: np.dtype[Any]
+
+    def bind(self, state: State) -> UartMemory | None:  # noqa: ARG002
+        """Copy a state into memory of the links' own kernels; None: they have records of ``kernels.lines``."""
+        return None
 
     @abstractmethod
     def receive(self, now: StepTime, state: State, lines: Inbox) -> tuple[State, Inbox]:

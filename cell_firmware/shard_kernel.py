@@ -214,6 +214,7 @@ class ShardKernel:
         fields |= {
             "messages": self._controller.link_type is not None,
             "slots": hardware.there.shape[1],
+            "burst": self._controller.burst_bytes,
             "links_in": len(self._links.in_to),
             "links_out": len(self._links.out_from),
             "period_ns": self._period_ns,

@@ -10,6 +10,7 @@ import numpy as np
 from cell_firmware.kernels import lines, watchdog
 from cell_firmware.kernels.clock import due
 from cell_firmware.kernels.jit import inlined, kernel
+from cell_firmware.kernels.memory import address_of, call_at
 from cell_firmware.kernels.messages import copy
 from cell_firmware.kernels.speed_loop import drive_wheel
 
@@ -66,7 +67,7 @@ def begin_cell(
         waiting: ``(n, 4, size)`` uint8, messages in mailboxes.
         there: ``(n, slots, 4, size)`` uint8, what lines carried.
         line_received: ``(4,)``, whether the cell's lines carry something.
-        line: ``(4, size)`` uint8, what they carry.
+        line: ``(4, size)`` uint8, what they carry; of serial lines byte by byte its memory alone matters.
         received: ``(4,)``, all false; is filled with the messages for the program.
         message: ``(4, size)`` uint8, zeros; is filled.
 
@@ -80,8 +81,16 @@ def begin_cell(
             lines.receive_serial(
                 link, cells[i], there[i], window, at_ns, line_received, line, received, message
             )
-        else:
+        elif link.kind == lines.MAILBOX:
             lines.receive_mailbox(link, cells[i], waiting[i], at_ns, line_received, line, received, message)
+        else:
+            call_at(
+                link.receive,
+                (
+                    link.uarts, i, window, at_ns, address_of(line_received), address_of(line), address_of(received),
+                    address_of(message),
+                ),
+            )  # fmt: skip
     runs, reset = at_ns >= 0, False
     if k.watchdog and runs:
         reset = watchdog.time_out(k, watches[i])
@@ -128,7 +137,7 @@ def end_cell(
         encoder_m: ``(2,)``, travel of the wheels.
         drive: ``(2,)``; is filled.
         line_sent: ``(4,)``, all false; is filled.
-        line: ``(4, size)`` uint8, zeros; is filled.
+        line: ``(4, size)`` uint8, zeros; is filled; as for ``begin_cell``.
     """
     window = window_of(k, tick)
     if runs:
@@ -148,8 +157,18 @@ def end_cell(
                 lines.send_serial(
                     link, cells[i], waiting[i], going[i], window, at_ns, sent, message, line_sent, line
                 )
-            else:
+            elif link.kind == lines.MAILBOX:
                 lines.send_mailbox(link, at_ns, sent, message, line_sent, line)
+            else:
+                call_at(
+                    link.send,
+                    (
+                        link.uarts, i, window, at_ns, address_of(sent), address_of(message), address_of(line_sent),
+                        address_of(line),
+                    ),
+                )  # fmt: skip
+    elif k.lines and link.kind == lines.BYTES and at_ns >= 0:
+        call_at(link.idle, (link.uarts, i, at_ns))
     if k.watchdog and at_ns >= 0:
         if runs:
             watchdog.note(k, watches[i], drive, failed, served)

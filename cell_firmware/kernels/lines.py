@@ -1,6 +1,7 @@
 """Links of one cell between its program and the wire: serial lines message by message, and mailboxes.
 
-As ``cell_firmware.effects.serial.message_level`` and ``cell_firmware.effects.clock.mailbox`` define them.
+As ``cell_firmware.effects.serial.message_level`` and ``cell_firmware.effects.clock.mailbox`` define them. Serial lines
+byte by byte are in ``cell_firmware.kernels.uarts``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from cell_firmware.kernels.messages import clear, copy
 SERIAL = 1
 """Kind of links: messages arrive by a serial line; ..."""
 MAILBOX = 2
-"""... in a mailbox."""
+"""... in a mailbox; ..."""
+BYTES = 3
+"""... by a serial line, byte by byte."""
 
 NEVER = np.iinfo(np.int64).max
 HEAD = 8
@@ -32,9 +35,13 @@ LINES = np.dtype(
         ("byte_ns", "<i8"),
         ("length", "<i8"),
         ("slots", "<i8"),
+        ("uarts", "<i8"),
+        ("receive", "<i8"),
+        ("send", "<i8"),
+        ("idle", "<i8"),
     ]
 )
-"""Constants of links."""
+"""Constants of links; the last four are addresses, of a record of ``uarts.UARTS`` and functions of that module."""
 
 LINE = np.dtype(
     [

@@ -5,10 +5,19 @@ Each array that Python hands to a kernel costs some 0.2 µs, and a shard has thi
 
 from __future__ import annotations
 
+from typing import Any
+
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array, populate_array
+
+
+def entry_address(function: Any) -> int:
+    """Return the address of an entry point whose arguments and result are int64, for ``call_at``."""
+    (compiled,) = function.overloads.values()
+    return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name)
 
 
 @intrinsic
@@ -48,6 +57,44 @@ def array_at(_context, _address, shape, kind):
         return array._getvalue()  # noqa: SLF001 - so are all of numba's structures read
 
     return array_type(types.int64, shape, kind), generate
+
+
+@intrinsic
+def address_of(_context, array):
+    """Return the address of an array in one piece."""
+
+    def generate(context, builder, signature, arguments):
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        return builder.ptrtoint(array.data, context.get_value_type(types.int64))
+
+    return types.int64(array), generate
+
+
+@intrinsic
+def call_at(_context, address, arguments):
+    """Call a function of Python's entry points by its address (``entry_address``); it takes and returns int64.
+
+    What is called so is compiled once, and not with each program: a program's kernels are compiled whenever its author
+    changes it.
+
+    Args:
+        address: Of the function.
+        arguments: Tuple of int64.
+    """
+
+    def generate(context, builder, signature, given):
+        address, values = given
+        word = context.get_value_type(types.int64)
+        words = [
+            context.cast(builder, value, kind, types.int64)
+            for value, kind in zip(
+                cgutils.unpack_tuple(builder, values), signature.args[1].types, strict=True
+            )
+        ]
+        kind = ir.FunctionType(word, [word] * len(words))
+        return builder.call(builder.inttoptr(address, kind.as_pointer()), words)
+
+    return types.int64(address, arguments), generate
 
 
 @intrinsic

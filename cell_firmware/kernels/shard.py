@@ -50,6 +50,7 @@ SHARD = np.dtype(
             "sensors",  # of a cell
             "messages",  # whether there are any
             "slots",  # of a serial line's past
+            "burst",  # bytes of what a serial line carries byte by byte; else 0
             "links_in",  # links over the border, into the shard
             "links_out",  # out of it
             "period_ns",  # of the exchanges
@@ -62,11 +63,11 @@ SHARD = np.dtype(
             "bits",  # (n, sensors) bool, presence
             "encoder_m",  # (n, 2), travel of the wheels; any numbers without motors
             "border_received",  # (links_in,) bool
-            "border",  # (links_in, size + head) bytes, messages over the border
+            "border",  # (links_in, size + head or burst) bytes, messages over the border
             # ... and fills
             "drive",  # (n, 2), zeros for dead cells
             "border_sent",  # (links_out,) bool
-            "border_out",  # (links_out, size + head) bytes
+            "border_out",  # (links_out, size + head or burst) bytes
             # the rest is its own
             "parameters",  # (1,), of the program
             "states",  # (a,), of the programs
@@ -86,7 +87,7 @@ SHARD = np.dtype(
             "border_from",  # (links_out,): slot of the outbox
             "sent_0",  # (4 n,) bool, the two outboxes
             "sent_1",
-            "outbox_0",  # (4 n, size + head) bytes
+            "outbox_0",  # (4 n, size + head or burst) bytes
             "outbox_1",
             "inputs",  # (1,) of inputs_type; "received" and "message" once more as bytes
             "inputs_received",
@@ -99,7 +100,7 @@ SHARD = np.dtype(
             "outputs_draft",  # (4, words) of 8 bytes, the same memory as outputs.message
             "said",  # (4, size) bytes, the messages of a draft; the draft itself where it is one
             "line_received",  # (4,) bool
-            "line",  # (4, size + head) bytes
+            "line",  # (4, size + head) bytes; or (4, burst)
             "failed",  # (a,) bool: whether a program drives what is no number, or sends what doesn't fit
             "speed",  # (a, 2): that speed; or two words of the draft, of the number that doesn't fit
             "misfit",  # (a,): side of the message times numbers of a message, plus place in it; -1: speed is no number
@@ -287,6 +288,9 @@ def run_tick(tick, shards):
     whole, whole_next = array_at(before, (4 * n, SIZE), BYTE), array_at(after, (n, 4, SIZE), BYTE)
     lined_border = array_at(s.border, (s.links_in, SIZE + lines.HEAD), BYTE)
     whole_border = array_at(s.border, (s.links_in, SIZE), BYTE)
+    byte_wise, burst = k.lines and link.kind == lines.BYTES, s.burst
+    bursts, bursts_next = array_at(before, (4 * n, burst), BYTE), array_at(after, (n, 4, burst), BYTE)
+    burst_border = array_at(s.border, (s.links_in, burst), BYTE)
     failures = 0
     if live < n:
         for row in range(n):
@@ -297,7 +301,11 @@ def run_tick(tick, shards):
         row = rows[i]
         read_bits(s, row, window, bits, believed, readings, inputs.presence)
         if k.lines:
-            collect_cell(row, source, sent, lined, border_received, lined_border, line_received, line)
+            if byte_wise:
+                came = array_at(s.line, (4, burst), BYTE)
+                collect_cell(row, source, sent, bursts, border_received, burst_border, line_received, came)
+            else:
+                collect_cell(row, source, sent, lined, border_received, lined_border, line_received, line)
             for side in range(4):
                 received[side] = False
                 clear_memory(message[side])
@@ -342,10 +350,16 @@ def run_tick(tick, shards):
                     clear_memory(said[side])
                 elif not WHOLE_DRAFT:  # a constant to the compiler
                     round_draft(VALUES, draft[side], draft_bits[side], said[side])
+        out = lined_next[row]
         if k.lines:
             for side in range(4):
                 sent_next[row, side] = False
-                clear_memory(lined_next[row, side])
+                if byte_wise:
+                    clear_memory(bursts_next[row, side])
+                else:
+                    clear_memory(lined_next[row, side])
+            if byte_wise:
+                out = array_at(after + 4 * row * burst, (4, SIZE + lines.HEAD), BYTE)
         elif s.messages:
             for side in range(4):
                 sent_next[row, side] = says[side]
@@ -353,9 +367,13 @@ def run_tick(tick, shards):
         end_cell(
             k, link, loop, i, tick, clocks, watches, wheels, cells, meters, waiting, going,
             at_ns, runs, received, wanted, failed[i], outputs.served != 0, says, said, encoder_m[row],
-            drive[row], sent_next[row], lined_next[row],
+            drive[row], sent_next[row], out,
         )  # fmt: skip
-    if k.lines:
+    if byte_wise:
+        leave_shard(
+            sent_next, bursts_next, border_from, border_sent, array_at(s.border_out, (links_out, burst), BYTE)
+        )
+    elif k.lines:
         lined_out = array_at(s.border_out, (links_out, SIZE + lines.HEAD), BYTE)
         leave_shard(sent_next, lined_next, border_from, border_sent, lined_out)
     elif s.messages:

@@ -109,7 +109,16 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "floating, no encoder": without("fixed_point", "encoder"),
     "word": without("encoder", "pwm"),
     "pwm": {"pwm": {"levels": 100}},
+    "polled": {"serial": {"baud": 9615, "ring_bytes": 0}},
+    "polled twice": {**without("serial"), "serial": {"baud": 9615, "ring_bytes": 0, "bytes_per_period": 2}},
+    "shared": {**without("serial"), "serial": {"baud": 9615, "sharing": "mux"}},
+    "shared, polled": {"serial": {"baud": 9615, "sharing": "mux", "ring_bytes": 0, "dwell_periods": 30}},
+    "skewed": {"clock": {"error_ppm": 50_000.0}, "serial": {"baud": 2404}},
+    "hc11, byte by byte": HC11,
+    "serial, byte by byte": {"serial": {"baud": 31250}},
 }
+LIVE = ("hc11, byte by byte", "serial, byte by byte")
+"""Boards to which faults may be injected."""
 
 
 class Pair:
@@ -122,7 +131,10 @@ class Pair:
         enabled = CellEffects.model_validate(EFFECTS[effects])
         clocks = None if enabled.clock is None else enabled.clock.clocks(lattice, CellsSpec().period_ns, 5)
         partition = Partition.even(lattice, shards)
-        self.both = [lockstep(PROGRAMS[program](), partition, motors, enabled, 3, clocks) for _ in range(2)]
+        live = effects in LIVE
+        self.both = [
+            lockstep(PROGRAMS[program](), partition, motors, enabled, 3, clocks, live=live) for _ in range(2)
+        ]
         for shard in self.both[0].shards:
             assert isinstance(shard._controller, CompiledController) == has_kernels(shard._controller.general)
         for shard in self.both[1].shards:

@@ -43,19 +43,20 @@ class Frame:
         message: The firmware's message type.
 
     Attributes:
+        packed: Type of the messages' bytes.
         size: Bytes of a message.
         length: Bytes that go over the line for it: with the check byte.
     """
 
     def __init__(self, message: np.dtype[Any]) -> None:
         self.message = message
-        self._packed = check_message(message)
-        self.size = self._packed.itemsize
+        self.packed = check_message(message)
+        self.size = self.packed.itemsize
         self.length = self.size + 1
 
     def pack(self, messages: Messages) -> Bytes:
         """``(..., size)`` bytes of messages, little-endian."""
-        packed = np.ascontiguousarray(messages, dtype=self._packed)
+        packed = np.ascontiguousarray(messages, dtype=self.packed)
         return packed.view(np.uint8).reshape(*messages.shape, self.size)
 
     def unpack(self, frames: Bytes) -> tuple[Bools, Messages]:
@@ -66,12 +67,12 @@ class Frame:
         """
         data = np.ascontiguousarray(frames[:, : self.size])
         good = check_of(data) == frames[:, self.size]
-        messages = data.view(self._packed)[:, 0]
-        for leaf in leaves(self._packed):
+        messages = data.view(self.packed)[:, 0]
+        for leaf in leaves(self.packed):
             values = leaf.of(messages)
             if leaf.type.kind == "f":
                 good &= each_all(np.isfinite(values), good.shape)
             elif leaf.type.kind == "b":
                 good &= each_all(values.view(np.uint8) <= 1, good.shape)
-        good &= ~overlong(messages, self._packed)
+        good &= ~overlong(messages, self.packed)
         return good, messages.astype(self.message)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from cell_firmware.effects.serial.sender import Sender
 from cell_firmware.effects.serial.timing import LineSettings
 from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Inbox, Messages, Outbox, State
+
+if TYPE_CHECKING:
+    from cell_firmware.effects.serial.memory import UartMemory
 
 _COUNTERS = ("sent", *COUNTERS, "replaced")
 
@@ -38,6 +41,8 @@ class SerialLines(LinkDriver):
         FirmwareError: Settings with which no message of this type would ever arrive.
     """
 
+    kernels = "cell_firmware.kernels.uarts"
+
     def __init__(
         self,
         settings: LineSettings,
@@ -45,7 +50,7 @@ class SerialLines(LinkDriver):
         window_ns: int | None = None,
         errors_of: ErrorsOf | None = None,
     ) -> None:
-        frame = Frame(message)
+        self._frame = frame = Frame(message)
         for problem in settings.problems(frame.length):
             raise FirmwareError(f"serial lines: {problem}")
         self._slots = settings.slots(frame.length)
@@ -66,6 +71,26 @@ class SerialLines(LinkDriver):
         if self._errors_of is not None:
             state["ppb"] = self._errors_of(cells.row, cells.column)
         return state
+
+    def constants(self) -> NDArray[Any]:
+        """Return what kind of links these are as a record of ``kernels.lines.LINES``; see ``bind``."""
+        from cell_firmware.kernels.lines import BYTES, LINES
+
+        links = np.zeros(1, dtype=LINES)
+        links["kind"], links["window_ns"], links["period_ns"] = (
+            BYTES,
+            self._window_ns,
+            self.settings.period_ns,
+        )
+        return links
+
+    def bind(self, state: State) -> UartMemory:
+        """Copy a state into the memory of kernels."""
+        from cell_firmware.effects.serial.memory import UartMemory
+
+        return UartMemory.of(
+            state, self._frame, self.settings, self._receiver.times, self._receiver.shifts, self._window_ns
+        )
 
     def reset(self, cells: Cells, state: State) -> State:
         """Empty the lines; counters, which belong to the observer, and the position of the switch are retained."""

@@ -231,6 +231,10 @@ class Receiver:
         errors_of: Clocks' errors; None where all are equal. With clocks of their own a cell learns of a window when it
             is over: all bytes come by ``window_ns`` and a bit later, so none comes before the cell learns of it, and
             what follows it on the line is known.
+
+    Attributes:
+        times: Of lines whose clocks are equal.
+        shifts: Whether every window brings a burst, be it empty.
     """
 
     def __init__(
@@ -247,12 +251,12 @@ class Receiver:
         self._window_ns = window_ns
         self._errors_of = errors_of
         if errors_of is None:
-            self._bursts, self._keep_step = _TOGETHER, settings.byte_ns <= settings.period_ns
+            self._bursts, self.shifts = _TOGETHER, settings.byte_ns <= settings.period_ns
         else:
             windows = _windows(settings, window_ns)
-            self._bursts, self._keep_step = min(windows, _BY_OWN_CLOCKS), windows <= _BY_OWN_CLOCKS
+            self._bursts, self.shifts = min(windows, _BY_OWN_CLOCKS), windows <= _BY_OWN_CLOCKS
         self._late_ns = 0 if errors_of is None else window_ns + settings.bit_ns
-        self._times = LineTimes.of(settings, self._late_ns)
+        self.times = LineTimes.of(settings, self._late_ns)
 
     def init(self, cells: Cells) -> State:
         """Return the initial state: nothing received."""
@@ -287,7 +291,7 @@ class Receiver:
         new["left_1"] = np.minimum(bursts["bytes_2"].astype(np.int64), most - first)
         for run in (0, 1):
             new[f"start_{run}_ns"] = begins + bursts[f"start_{run + 1}_ns"].astype(np.int64)
-        return _queued(state, new, self._bursts, None if self._keep_step else lines.received)
+        return _queued(state, new, self._bursts, None if self.shifts else lines.received)
 
     def read(
         self, at_ns: Ints, state: State, connected: Bools | None = None, since_ns: Ints | None = None
@@ -303,7 +307,7 @@ class Receiver:
         Returns:
             The next state, and whole messages.
         """
-        times = self._times if self._errors_of is None else LineTimes.from_state(self._late_ns, state)
+        times = self.times if self._errors_of is None else LineTimes.from_state(self._late_ns, state)
         reader = UartReader(self._settings, self._frame, times, 2 * self._bursts, state, at_ns)
         for run in range(2 * self._bursts):
             reader.take(run, connected, since_ns)
