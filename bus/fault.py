@@ -258,6 +258,17 @@ class RepairRecord(Spec):
     end: _Whole
 
 
+def build_validators(kinds: TypeAdapter[Any]) -> None:
+    """Build the validators of records of faults and repairs, which are else built for the first one.
+
+    Args:
+        kinds: Kinds of faults that they may have.
+    """
+    kinds.rebuild()
+    for record in (_FaultRecord, RepairRecord):
+        record.model_rebuild()
+
+
 def decode_fault(
     data: object, kinds: TypeAdapter[Any], lattice: Lattice, seed: int
 ) -> FaultInstance[FaultSpec]:

@@ -21,6 +21,7 @@ from cell_firmware.controller import Controller, ControllerState, StepTime, read
 from cell_firmware.effects.base import InputFilter
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, State
+from cell_firmware.shard_faults import ShardFaults
 from cell_firmware.shard_links import Indices, ShardLinks
 from cell_firmware.specs import nanoseconds
 
@@ -121,7 +122,8 @@ class Shard:
         )
         self._n = len(self.indices)
         self._effects = effects or {}
-        self._faults = {one.number: one for one in faults}
+        self._faults = ShardFaults(controller, faults, self.indices)
+        controller = self._faults.stepped
         self._stages = tuple(stage for stages in self._effects.values() for stage in stages)
         self._message = controller.link_type
         self._state = controller.init(cells.select(self.indices))
@@ -359,23 +361,29 @@ class Shard:
             site: The shard's cells.
             lattice: Lattice of the array.
         """
-        self._faults[fault.number] = fault
         stages = tuple(fault.fault.input_filters(site, lattice, fault))
-        self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
-        self._stages += stages
-        from cell_firmware.faults.attach import attach_fault, init_new_wrappers
-
-        self._controller = attach_fault(
-            self._controller.general, lattice, site.seed, fault, link_ticks=len(self._outboxes)
-        )
-        self._kernel = None
-        drive = self._drive if self._active is None else self._drive[self._active]
-        self._state = init_new_wrappers(self._controller, self._state, drive)
+        if stages:
+            self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
+            self._stages += stages
+            self._kernel = None
+        if self._faults.inject(fault, lattice, site.seed, link_ticks=len(self._outboxes)):
+            self._controller, self._state = self._faults.shown(self._state, self._live_drive)
+            self._kernel = None
 
     def repair(self, number: int, tick: int) -> None:
         """End a fault at ``tick``; an unknown fault is ignored."""
-        if number in self._faults:
-            self._faults[number].end_tick = tick
+        self._faults.repair(number, tick)
+
+    @property
+    def _live_drive(self) -> Floats:
+        """Drives of the live cells in the last tick."""
+        return self._drive if self._active is None else self._drive[self._active]
+
+    def _shown(self) -> tuple[Controller, ControllerState]:
+        """Return the controller with the wrappers of all faults, and the state as it has it."""
+        if not self._faults.apart:
+            return self._controller, self._state
+        return self._faults.shown(self._state, self._live_drive)
 
     def registers(self) -> tuple[Indices, dict[str, NDArray[Any]]]:
         """Return the registers of live cells.
@@ -384,7 +392,8 @@ class Shard:
             ``(a, 2)`` row and column of each; by name, arrays with a row for each.
         """
         cells = self._state.cells
-        registers = self._controller.registers(self._state)
+        controller, state = self._shown()
+        registers = controller.registers(state)
         if self.shows_messages and self._message is not None:
             registers = {**registers, **self._sent_messages(self._message)}
         return np.stack((cells.row, cells.column), axis=1), registers
@@ -430,7 +439,8 @@ class Shard:
         for name, stages in self._effects.items():
             for stage in stages:
                 total.update({f"{name}.{what}": number for what, number in stage.counters.items()})
-        total.update(self._controller.counters(self._state))
+        controller, state = self._shown()
+        total.update(controller.counters(state))
         return total
 
     @property

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from typing import Final, TypeVar, cast
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from bus.errors import WireError
-from bus.fault import FaultInstance, RepairRecord, decode_fault
+from bus.fault import FaultInstance, RepairRecord, build_validators, decode_fault
 from bus.lattice import Lattice
 from bus.wire.frames import Control
 from cell_firmware.controller import Controller, ControllerState, ControllerWrapper
@@ -29,6 +32,16 @@ WRAPPERS: Final[tuple[type[ControllerWrapper], ...]] = (
     MessageFaultWrapper,
 )
 """All wrappers of a controller, from the outermost to the innermost."""
+
+
+def prepare() -> None:
+    """Import and build what decoding a fault needs.
+
+    Hundreds of processes would do so in the tick in which the first is injected, and be behind for seconds.
+    """
+    from cell_firmware.faults.registry import CELL_FAULTS
+
+    build_validators(CELL_FAULTS)
 
 
 def decode_fault_control(
@@ -85,6 +98,32 @@ def attach_fault(
         controller, found = _found(controller, kind, lattice, seed, link_ticks)
         found.add(fault)
     return controller
+
+
+def acts_on(fault: FaultInstance[CellFault], cells: NDArray[np.int64], *, talks: bool) -> bool:
+    """Whether a fault needs its wrappers around the controller of these cells, indices into the lattice.
+
+    Corrupted messages do everywhere: what a program makes of one may be implausible to cells far away.
+
+    Args:
+        fault: The fault.
+        cells: The cells.
+        talks: Whether programs send messages.
+    """
+    kinds = _kinds(fault.fault, talks=talks)
+    return MessageFaultWrapper in kinds or bool(kinds and np.isin(fault.cells, cells).any())
+
+
+def without_faults(controller: Controller) -> Controller:
+    """Return a copy of a controller's wrappers without those of faults, around the same board."""
+    if not isinstance(controller, ControllerWrapper):
+        return controller
+    inside = without_faults(controller.controller)
+    if isinstance(controller, FaultWrapper):
+        return inside
+    copied = copy.copy(controller)
+    copied.controller = inside
+    return copied
 
 
 def init_new_wrappers(controller: Controller, state: ControllerState, drive: Floats) -> ControllerState:

@@ -242,7 +242,6 @@ class BusCells:
         system: Opened endpoints and the processes to start; closed by whoever opened them.
         register_requests: Registers that the cells publish.
         metered: Whether the cells count their messages.
-        byte_accurate_links: Whether serial lines carry bytes and accept faults at run time.
         snapshots: Whether the coordinator may request snapshots.
         messages: Whether the cells publish their messages as registers.
         traced: Whether the cells record what their programs read and send, as registers.
@@ -253,7 +252,6 @@ class BusCells:
     system: System
     register_requests: tuple[RegisterRequest, ...] = ()
     metered: bool = False
-    byte_accurate_links: bool = False
     snapshots: bool = False
     messages: bool = False
     traced: bool = False
@@ -268,7 +266,6 @@ class BusCells:
             sensors,
             self.register_requests,
             metered=self.metered,
-            live=self.byte_accurate_links,
             keeps=self.snapshots,
             messages=self.messages,
             traced=self.traced,

@@ -39,7 +39,7 @@ def compile_scene(scene: Scene, say: Callable[[str], None]) -> int:
         InputError: The plant refuses the scene.
     """
     with compilation_reported(scene.solver.name, say) as entries:
-        for module in kernels_of(scene):
+        for module in dict.fromkeys((*kernels_of(scene), *kernels_of(scene, live=True))):
             importlib.import_module(module)
         compile_program(scene)
         plant = load_plant(scene, silent)

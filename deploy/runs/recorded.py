@@ -171,7 +171,6 @@ class RecordedRun:
                 self.system,
                 self._register_requests(),
                 metered=True,
-                byte_accurate_links=setup.byte_accurate_links,
                 snapshots=self.metadata is not None,
                 messages=setup.options.messages is not None,
                 traced=setup.options.trace_messages is not None,

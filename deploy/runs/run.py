@@ -140,7 +140,8 @@ class _Run:
         setup = self.setup
         for line in setup.warnings:
             self._warn(f"warning: {line}")
-        with System(setup.plan, setup.scene, setup.options) as system:
+        live = setup.byte_accurate_links
+        with System(setup.plan, setup.scene, setup.options, live=live) as system:
             self._start_drawing()
             with self.interruption.interruptible():
                 plant = load_plant(setup.scene, self._warn)

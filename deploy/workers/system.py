@@ -64,6 +64,7 @@ class System:
         plan: Plan of the run.
         scene: Scene of the run.
         options: Options of the run, for the endpoints, the keys and ``insecure``.
+        live: Simulate serial lines byte by byte, so that faults can be injected at run time.
 
     Attributes:
         locator: Endpoint for listeners and operators; empty before ``open`` and with the memory transport.
@@ -79,8 +80,9 @@ class System:
         InputError: The keys don't fit the run, or are not valid.
     """
 
-    def __init__(self, plan: Plan, scene: Scene, options: RunOptions) -> None:
+    def __init__(self, plan: Plan, scene: Scene, options: RunOptions, *, live: bool = False) -> None:
         self._plan = plan
+        self._live = live
         self._scene = scene
         self._options = options
         self._keyring = None if options.keys is None else _keyring(options.keys, plan, options)
@@ -96,7 +98,7 @@ class System:
         self._stopped = False
         # Begun at once: the workers' parent imports what they need while this process gets its kernels.
         forked = plan.workers > 0 and not plan.external
-        self._processes = WorkerProcesses(plan, modules_of(scene)) if forked else None
+        self._processes = WorkerProcesses(plan, modules_of(scene, live=live)) if forked else None
         if forked:
             compile_program(scene)  # once, and before deadlines: workers load it from disk
         self._cluster = _connected(plan, options)
@@ -200,7 +202,6 @@ class System:
         wanted: tuple[RegisterRequest, ...] = (),
         *,
         metered: bool = False,
-        live: bool = False,
         keeps: bool = False,
         messages: bool = False,
         traced: bool = False,
@@ -214,7 +215,6 @@ class System:
             readings: Schema of the cells' sensors.
             wanted: Registers that the cells publish.
             metered: Count the cells' messages.
-            live: Simulate serial lines byte by byte, so that faults can be injected at run time.
             keeps: Let the coordinator request snapshots.
             messages: Let the cells publish their messages as registers.
             traced: Let the cells record what their programs read and send, as registers.
@@ -241,7 +241,7 @@ class System:
             sensors=readings,
             register_requests=wanted,
             metered=metered,
-            byte_accurate_links=live,
+            byte_accurate_links=self._live,
             joins_running=False,
             keys=self._keys(),
             own_process=self._processes is not None,
@@ -256,7 +256,7 @@ class System:
             plan.wire,
             run=plan.run,
             readings=readings,
-            message=make_controller(scene, cell_faults(scene), live=live).link_type,
+            message=make_controller(scene, cell_faults(scene), live=self._live).link_type,
             wanted=wanted,
             stall=scene.stall,
             latency=scene.bus,

@@ -316,19 +316,30 @@ def make_controller(
     )
 
 
-def kernels_of(scene: Scene) -> tuple[str, ...]:
-    """Return the modules of compiled kernels that a scene's cells use, without importing them."""
+def kernels_of(scene: Scene, *, live: bool = False) -> tuple[str, ...]:
+    """Return the modules of compiled kernels that a scene's cells use, without importing them.
+
+    Args:
+        scene: The scene.
+        live: Whether faults can be injected at run time.
+    """
     from cell_firmware.build import kernel_modules
 
-    return kernel_modules(make_controller(scene, cell_faults(scene), metered=True), scene.effects)
+    controller = make_controller(scene, cell_faults(scene), live=live, metered=True)
+    return kernel_modules(controller, scene.effects)
 
 
-def modules_of(scene: Scene) -> tuple[str, ...]:
-    """Return the modules that a scene's cells use beyond those of every scene: kernels and a bundled program."""
+def modules_of(scene: Scene, *, live: bool = False) -> tuple[str, ...]:
+    """Return the modules that a scene's cells use beyond those of every scene: kernels and a bundled program.
+
+    Args:
+        scene: The scene.
+        live: Whether faults can be injected at run time.
+    """
     from cell_firmware.loader import BUNDLED
 
-    program = BUNDLED.get(scene.cells.firmware)
-    return kernels_of(scene) if program is None else (*kernels_of(scene), program.partition(":")[0])
+    kernels, program = kernels_of(scene, live=live), BUNDLED.get(scene.cells.firmware)
+    return kernels if program is None else (*kernels, program.partition(":")[0])
 
 
 def compile_program(scene: Scene) -> None:
@@ -361,6 +372,10 @@ def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
 
     scene, array, readings = order.scene, order.array, order.sensors
     faults = cell_faults(scene)
+    if order.byte_accurate_links:
+        from cell_firmware.faults.attach import prepare
+
+        prepare()
     firmware = load(scene.cells)
     controller = make_controller(
         scene,

@@ -66,13 +66,13 @@ class Lockstep:
         self.lattice = partition.lattice
         asked = CellEffects() if effects is None else effects
         injected = CellFaults(self.lattice, tuple(faults), seed) if faults else None
-        controller = build_controller(
-            firmware, SPEC, asked, motors, clocks, faults=injected, live=live, seed=seed
-        )
         tick_ns = SPEC.period_ns if clocks is None else clocks.clocks.window_ns
         self.shards: list[Shard] = []
         self.sites: list[ShardContext] = []
         for s in range(partition.count):
+            controller = build_controller(
+                firmware, SPEC, asked, motors, clocks, faults=injected, live=live, seed=seed
+            )
             site = ShardContext(
                 partition.cells(s),
                 1,

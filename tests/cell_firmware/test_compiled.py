@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -175,7 +176,14 @@ class Pair:
 
 
 @pytest.mark.parametrize(
-    ("program", "effects"), [("moody", "hc11"), ("plain", "mailbox"), ("moody", "serial")]
+    ("program", "effects"),
+    [
+        ("moody", "hc11"),
+        ("plain", "mailbox"),
+        ("moody", "serial"),
+        ("moody", "hc11, byte by byte"),
+        ("heat_diffusion", "shared, polled"),
+    ],
 )
 def test_the_compiled_controller_gives_the_same_bits(lockstep: Any, program: str, effects: str) -> None:
     compare_for(TICKS, lockstep, program, effects, shards=4)
@@ -189,6 +197,29 @@ def test_the_compiled_controller_gives_the_same_bits_for_every_board(
     lockstep: Any, program: str, effects: str, shards: int
 ) -> None:
     compare_for(TICKS, lockstep, program, effects, shards)
+
+
+@pytest.mark.parametrize("effects", ["hc11, byte by byte", "polled twice", "shared"])
+def test_bytes_that_are_disturbed_on_the_way_are_read_alike(lockstep: Any, effects: str) -> None:
+    """Bytes change, come too many, too late or again, and what a line carries is lost."""
+    pair = Pair(lockstep, "moody", effects, 4, MOTORS)
+    draw = np.random.default_rng(7)
+    for _ in range(TICKS):
+        pair.step()
+        for ours, theirs in zip(pair.both[0].links, pair.both[1].links, strict=True):
+            data = ours.message.view(np.uint8).reshape(len(ours.message), -1)
+            hit = draw.random(data.shape) < 0.01
+            data[hit] = draw.integers(0, 256, int(hit.sum()))
+            ours.message["start_1_ns"] %= 4_000_000
+            ours.message["start_2_ns"] %= 8_000_000
+            ours.sent[:] |= draw.random(len(ours.sent)) < 0.1
+            ours.sent[:] &= draw.random(len(ours.sent)) < 0.9
+            ours.message[~ours.sent] = np.zeros((), dtype=ours.message.dtype)
+            theirs.message[:], theirs.sent[:] = ours.message, ours.sent
+    pair.compare()
+    counters = sum((shard.counters() for shard in pair.both[0].shards), Counter[str]())
+    assert counters["serial.damaged"] > 100
+    assert (counters["serial.overruns"] > 10) == (effects == "polled twice")
 
 
 def compare_for(ticks: int, lockstep: Any, program: str, effects: str, shards: int) -> None:

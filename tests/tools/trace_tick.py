@@ -303,14 +303,14 @@ def trace(tracer: Tracer, program: str, wire: WireFormat, request: Mapping[str, 
     both = dataclasses.replace(plan(scene, options, "trace"), partition=Partition.even(scene.lattice(), 2))
     requests: deque[bytes] = deque()
     answers: list[Any] = []
-    with tracer.installed(), System(both, scene, options) as system:
+    with tracer.installed(), System(both, scene, options, live=True) as system:
         system.open()
         assert isinstance(system._endpoint, MemoryEndpoint)
         assert system._cells is not None
         system._cells.close(0.0)
         bus = system._endpoint._bus
         system._cells = Cells([bus.endpoint() for _ in range(2)])
-        backend = BusCells(system, metered=True, byte_accurate_links=True)
+        backend = BusCells(system, metered=True)
         with Simulation.open(scene, backend) as simulation:
             assert system.coordinator is not None
             server = ControlServer(

@@ -32,7 +32,8 @@ SIZES = (1, 18, 400, 1_000, 10_000, 100_000)
 BUDGET_S = 0.3
 METHOD = """\
 Method. Shard.step of one shard in this process, cells in one row: heat_diffusion, wheels with motors and encoders.
-"board": all effects of the board hc11. "behavioural": a speed loop in floating point, whole messages. Sensor bits
+"board": all effects of the board hc11; "live": the same, where faults may be injected, so that serial lines go
+byte by byte. "behavioural": a speed loop in floating point, whole messages. Sensor bits
 change and wheels turn between steps; that is made beforehand. Compiled and on arrays (the general controller, as with
 faults) take turns of {budget} s; a figure is the median over {turns} turns of processor time a step, the ratio the
 median of the turns' ratios. The tests hold both to the same bits.
@@ -42,12 +43,14 @@ median of the turns' ratios. The tests hold both to the same bits.
 class Side:
     """A shard with its inputs."""
 
-    def __init__(self, effects: dict[str, Any], cells: int, *, compiled: bool) -> None:
+    def __init__(self, effects: dict[str, Any], cells: int, *, compiled: bool, live: bool) -> None:
         lattice = Lattice((0, column) for column in range(cells))
         enabled, spec = CellEffects.model_validate(effects), CellsSpec(firmware="heat_diffusion")
         partition = Partition.even(lattice, 1)
         clocks = None if enabled.clock is None else enabled.clock.clocks(lattice, spec.period_ns, 1)
-        controller = build_controller(load(spec), spec, enabled, MotorFacts(12.0, 1.2), clocks, metered=True)
+        controller = build_controller(
+            load(spec), spec, enabled, MotorFacts(12.0, 1.2), clocks, live=live, metered=True
+        )
         own = None if clocks is None else clocks.clocks.take(partition.cells(0))
         site = ShardContext(partition.cells(0), 1, controller.link_type, 1, clocks=own)
         whole = Cells.of(lattice, np.zeros((cells, 2)), spec.period_s)
@@ -73,9 +76,11 @@ class Side:
         return spent / steps
 
 
-def measure(effects: dict[str, Any], cells: int, turns: int, budget_s: float) -> dict[str, float]:
+def measure(
+    effects: dict[str, Any], cells: int, turns: int, budget_s: float, *, live: bool
+) -> dict[str, float]:
     """Time of a step, µs, compiled and on arrays, and their ratio."""
-    both = [Side(effects, cells, compiled=compiled) for compiled in (True, False)]
+    both = [Side(effects, cells, compiled=compiled, live=live) for compiled in (True, False)]
     for side in both:
         side.step_s(0.1 * budget_s)
     times = [[side.step_s(budget_s) for side in both] for _ in range(turns)]
@@ -92,9 +97,13 @@ def main() -> None:
     parser.add_argument("--budget", type=float, default=BUDGET_S, help="processor time of a turn, s")
     parser.add_argument("--json", action="store_true", help="one JSON object")
     asked = parser.parse_args()
-    kinds = {"board": {name: dict(table) for name, table in BOARDS["hc11"].items()}, "behavioural": {}}
+    board = {name: dict(table) for name, table in BOARDS["hc11"].items()}
+    kinds = {"board": board, "live": board, "behavioural": {}}
     found = {
-        kind: [measure(effects, cells, asked.turns, asked.budget) for cells in asked.cells or SIZES]
+        kind: [
+            measure(effects, cells, asked.turns, asked.budget, live=kind == "live")
+            for cells in asked.cells or SIZES
+        ]
         for kind, effects in kinds.items()
     }
     if asked.json:
