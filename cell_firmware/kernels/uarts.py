@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from cell_firmware.kernels.clock import by_clock
-from cell_firmware.kernels.jit import INTEGER, entry, kernel
+from cell_firmware.kernels.jit import INTEGER, entry, inlined, kernel
 from cell_firmware.kernels.lines import read_number, write_number
-from cell_firmware.kernels.memory import array_at
+from cell_firmware.kernels.memory import array_at, copy_memory
 
 MOST_RUNS = 14
 """Most runs of bytes under way on a line: two a burst."""
@@ -44,7 +44,7 @@ UARTS = np.dtype(
             "going",  # (n, 4, size + 1 + PADDING) bytes: the message under way
             "waiting",  # (n, 4, size) bytes
             "buffer",  # (n, 4, size + 2 + width) bytes: what came of a message
-            "data",  # (n, bursts, 4, width + PADDING) bytes under way
+            "data",  # (n, 4, bursts, width + PADDING) bytes under way
             "checks",  # (fields,) of CHECK
             "fields",  # how many numbers of a message can be no such number
         )
@@ -55,7 +55,7 @@ UARTS = np.dtype(
 _LINE = (4,)
 UART = np.dtype(
     [
-        *((name, "<i8", (MOST_RUNS, 4)) for name in ("left", "place", "start_ns")),
+        *((name, "<i8", (4, MOST_RUNS)) for name in ("left", "place", "start_ns")),
         *(
             (name, "<i8", _LINE)
             for name in (
@@ -140,9 +140,9 @@ def close(k, cell, side, buffer, received, message):
 @kernel
 def pass_bytes(cell, side, run, count):
     """Remove the first bytes of a run."""
-    cell.left[run, side] -= count
-    cell.place[run, side] += count
-    cell.start_ns[run, side] += count * cell.byte_ns[side]
+    cell.left[side, run] -= count
+    cell.place[side, run] += count
+    cell.start_ns[side, run] += count * cell.byte_ns[side]
 
 
 @kernel
@@ -159,20 +159,20 @@ def sampled(cell, side, value, followed):
 def is_followed(k, cell, side, start_ns):
     """Whether the byte after one that began at a time has begun when its stop bit is sampled."""
     for run in range(2 * k.bursts):
-        later = cell.start_ns[run, side] - start_ns
-        if cell.left[run, side] > 0 and later > 0 and later <= cell.stop_ns[side]:
+        later = cell.start_ns[side, run] - start_ns
+        if cell.left[side, run] > 0 and later > 0 and later <= cell.stop_ns[side]:
             return True
     return False
 
 
-@kernel
+@inlined
 def queue(k, cell, data, window, brings, line):
     """Queue the bursts that a cell's lines carried in the window before.
 
     Args:
         k: Record of ``UARTS``.
         cell: Record of ``UART``.
-        data: ``(bursts, 4, width + PADDING)`` uint8.
+        data: ``(4, bursts, width + PADDING)`` uint8.
         window: In which the cell's instants lie.
         brings: ``(4,)``, whether a line carried something.
         line: ``(4, bytes)`` uint8, what it carried.
@@ -182,25 +182,24 @@ def queue(k, cell, data, window, brings, line):
     for side in range(4):
         if not (k.shifts or brings[side]):
             continue
-        cell.overruns[side] += cell.left[0, side] + cell.left[1, side]
+        cell.overruns[side] += cell.left[side, 0] + cell.left[side, 1]
         for run in range(2 * last):
-            cell.left[run, side] = cell.left[run + 2, side]
-            cell.place[run, side] = cell.place[run + 2, side]
-            cell.start_ns[run, side] = cell.start_ns[run + 2, side]
+            cell.left[side, run] = cell.left[side, run + 2]
+            cell.place[side, run] = cell.place[side, run + 2]
+            cell.start_ns[side, run] = cell.start_ns[side, run + 2]
         for burst in range(last):
-            for b in range(k.width + PADDING):
-                data[burst, side, b] = data[burst + 1, side, b]
+            copy_memory(data[side, burst + 1], data[side, burst])
         # bytes beyond a window's room are dropped, whatever a sender claims
         first = min(read_number(line[side], 0, 2), k.width)
-        cell.left[2 * last, side], cell.place[2 * last, side] = first, 0
-        cell.left[2 * last + 1, side] = min(read_number(line[side], RUN_BYTES, 2), k.width - first)
-        cell.place[2 * last + 1, side] = first
+        cell.left[side, 2 * last], cell.place[side, 2 * last] = first, 0
+        cell.left[side, 2 * last + 1] = min(read_number(line[side], RUN_BYTES, 2), k.width - first)
+        cell.place[side, 2 * last + 1] = first
         for run in range(2):
-            cell.start_ns[2 * last + run, side] = begins_ns + read_number(line[side], RUN_BYTES * run + 2, 4)
+            cell.start_ns[side, 2 * last + run] = begins_ns + read_number(line[side], RUN_BYTES * run + 2, 4)
         for b in range(k.width):
-            data[last, side, b] = line[side, 2 * RUN_BYTES + b]
+            data[side, last, b] = line[side, 2 * RUN_BYTES + b]
         for b in range(k.width, k.width + PADDING):
-            data[last, side, b] = 0
+            data[side, last, b] = 0
 
 
 @kernel
@@ -211,7 +210,7 @@ def keep(k, cell, side, buffer, value):
     cell.length[side] = min(cell.length[side] + 1, k.size + 2)
 
 
-@kernel
+@inlined
 def take(k, cell, side, run, at_ns, room, data, buffer, received, message):
     """Read the bytes of a run that have come.
 
@@ -230,7 +229,7 @@ def take(k, cell, side, run, at_ns, room, data, buffer, received, message):
     Returns:
         How many came, and the room that is left.
     """
-    left, start_ns, byte_ns = cell.left[run, side], cell.start_ns[run, side], cell.byte_ns[side]
+    left, start_ns, byte_ns = cell.left[side, run], cell.start_ns[side, run], cell.byte_ns[side]
     came = min(max((at_ns - cell.come_ns[side] - start_ns) // byte_ns + 1, 0), left)
     if came and k.dwell:
         lost = came
@@ -238,14 +237,14 @@ def take(k, cell, side, run, at_ns, room, data, buffer, received, message):
             lost = min(max(-((start_ns + k.late_ns - cell.since_ns) // byte_ns), 0), came)
         cell.unheard[side] += lost
         pass_bytes(cell, side, run, lost)
-        came, left, start_ns = came - lost, left - lost, cell.start_ns[run, side]
+        came, left, start_ns = came - lost, left - lost, cell.start_ns[side, run]
     if not came:
         return 0, room
     if not k.polled:
         if start_ns - cell.last_ns[side] >= cell.idle_ns[side] and cell.length[side] > 0:
             close(k, cell, side, buffer, received, message)
         cell.last_ns[side] = start_ns + (came - 1) * byte_ns
-    place, skewed = cell.place[run, side], cell.skewed[side] != 0
+    place, skewed = cell.place[side, run], cell.skewed[side] != 0
     for j in range(came):
         value, fails = np.int64(data[place + j]), False
         if skewed:
@@ -265,7 +264,7 @@ def take(k, cell, side, run, at_ns, room, data, buffer, received, message):
     return came, room
 
 
-@kernel
+@inlined
 def end_message(k, cell, side, at_ns, silent, buffer, received, message):
     """End the message on a line whose end has been detected; ``silent``: no byte came in this period."""
     if cell.length[side] == 0:
@@ -278,7 +277,7 @@ def end_message(k, cell, side, at_ns, silent, buffer, received, message):
     if idle_ns + k.late_ns > at_ns:
         return
     for run in range(2 * k.bursts):  # what has not come yet, but has begun
-        if cell.left[run, side] and cell.start_ns[run, side] < idle_ns:
+        if cell.left[side, run] and cell.start_ns[side, run] < idle_ns:
             return
     close(k, cell, side, buffer, received, message)
 
@@ -303,7 +302,7 @@ def receive(uarts, i, window, at_ns, line_received, line, received, message):
     k = array_at(uarts, 1, UARTS)[0]
     cell = array_at(k.cells, i + 1, UART)[i]
     buffer = array_at(k.buffer, (i + 1, 4, k.size + 2 + k.width), np.uint8)[i]
-    data = array_at(k.data, (i + 1, k.bursts, 4, k.width + PADDING), np.uint8)[i]
+    data = array_at(k.data, (i + 1, 4, k.bursts, k.width + PADDING), np.uint8)[i]
     came = array_at(received, 4, np.bool_)
     words = array_at(message, (4, k.size), np.uint8)
     queue(
@@ -317,10 +316,11 @@ def receive(uarts, i, window, at_ns, line_received, line, received, message):
     for side in range(4):
         room, silent = k.room, at_ns >= 0
         for run in range(2 * k.bursts):
-            count, room = take(
-                k, cell, side, run, at_ns, room, data[run // 2, side], buffer[side], came, words
-            )
-            silent = silent and count == 0
+            if cell.left[side, run]:  # seldom, and looking further takes time
+                count, room = take(
+                    k, cell, side, run, at_ns, room, data[side, run // 2], buffer[side], came, words
+                )
+                silent = silent and count == 0
         end_message(k, cell, side, at_ns, silent, buffer[side], came, words)
     return 0
 
@@ -350,7 +350,7 @@ def begins(k, cell, side, at_ns, next_ns, byte_ns, left):
     return max(cell.free_ns[side], at_ns) + length * byte_ns <= at_ns + by_clock(left * k.period_ns, cell.ppb)
 
 
-@kernel
+@inlined
 def send_run(k, cell, side, at_ns, next_ns, byte_ns, going, there, line):
     """Continue the message under way until the cell steps again.
 

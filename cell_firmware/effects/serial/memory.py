@@ -54,8 +54,8 @@ class UartMemory:
             cells[name] = getattr(times, name)
         cells["samples"] = np.arange(BITS_A_BYTE)
         views = dict[str, NDArray[Any]](_views(cells, bursts))
-        data = np.stack([state[f"data_{i}"] for i in range(bursts)], axis=1)
-        views.update((f"data_{i}", data[:, i]) for i in range(bursts))
+        data = np.stack([state[f"data_{i}"] for i in range(bursts)], axis=2)
+        views.update((f"data_{i}", data[:, :, i]) for i in range(bursts))
         waiting, going, buffer = (state[name].copy() for name in ("waiting", "going", "buffer"))
         views.update(waiting=waiting, going=going, buffer=buffer)
         parts = {name: _like(views[name], array) for name, array in state.items()}
@@ -104,9 +104,9 @@ def _views(cells: NDArray[Any], bursts: int) -> Iterator[tuple[str, NDArray[Any]
         if name not in ("left", "place", "start_ns"):
             yield name, cells[name]
     for run in range(2 * bursts):
-        yield f"left_{run}", cells["left"][:, run]
-        yield f"place_{run}", cells["place"][:, run]
-        yield f"start_{run}_ns", cells["start_ns"][:, run]
+        yield f"left_{run}", cells["left"][:, :, run]
+        yield f"place_{run}", cells["place"][:, :, run]
+        yield f"start_{run}_ns", cells["start_ns"][:, :, run]
 
 
 def _like(view: NDArray[Any], array: NDArray[Any]) -> NDArray[Any]:
