@@ -108,8 +108,9 @@ class UartReader:
         self._room = self._room - stored
         after["overruns"] = after["overruns"] + (came - stored)
         after["received"] = after["received"] + stored
+        # after kernels, the bursts of a line lie one behind the other
         copy_bytes(
-            _lines(after[f"data_{run // 2}"]),
+            np.ascontiguousarray(_lines(after[f"data_{run // 2}"])),
             after[f"place_{run}"].reshape(-1),
             _lines(after["buffer"]),
             after["length"].reshape(-1),
