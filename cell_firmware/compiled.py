@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus.wire.message_type import check_message
 from cell_firmware.board import LINKS, METER, PROGRAM, WHEELS, Board, has_kernels
+from cell_firmware.components import LinkMemory
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime
 from cell_firmware.effects.clock.wrapper import LocalClockWrapper, in_tick
 from cell_firmware.effects.cop.wrapper import DIVIDER_NS, WatchdogWrapper
@@ -25,9 +26,6 @@ from cell_firmware.kernels.speed_loop import LOOP
 from cell_firmware.kernels.speed_loop import WHEELS as WHEELS_RECORD
 from cell_firmware.kernels.watchdog import WATCHDOG
 from cell_firmware.random_draws import CellStreams
-
-if TYPE_CHECKING:
-    from cell_firmware.effects.serial.memory import UartMemory
 
 Bytes = NDArray[np.uint8]
 
@@ -76,7 +74,7 @@ class Hardware:
     waiting: Bytes
     going: Bytes
     there: Bytes
-    uarts: UartMemory | None
+    uarts: LinkMemory | None
 
 
 @final
@@ -300,7 +298,10 @@ class CompiledController(Controller):
 
         uarts = None if self._board.links is None else self._board.links.bind(state.parts[LINKS])
         if uarts is not None:
-            uarts.describe(self.constants[1])
+            links = self.constants[1]
+            links["uarts"] = uarts.record.ctypes.data
+            for name, address in uarts.kernels.items():
+                links[name] = address
             parts[LINKS] = dict(uarts.parts)
         cells = records(LINKS, LINE) if uarts is None else np.zeros(0, dtype=LINE)
         there = np.zeros((n, self._slots, 4), dtype=self._line or np.uint8)

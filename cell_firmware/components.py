@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar, final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell_firmware.controller import StepTime
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Outbox, State
-
-if TYPE_CHECKING:
-    from cell_firmware.effects.serial.memory import UartMemory
 
 
 class BoardComponent(ABC):
@@ -73,6 +72,24 @@ class WheelDriver(BoardComponent):
         """
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class LinkMemory:
+    """State of n cells' links in memory of their own kernels.
+
+    Attributes:
+        parts: The same memory by name, as the driver has it.
+        record: ``(1,)``, what the kernels are given the address of.
+        arrays: Memory at the record's addresses.
+        kernels: Addresses of the kernels, by their names in ``kernels.lines.LINES``.
+    """
+
+    parts: State
+    record: NDArray[Any]
+    arrays: tuple[NDArray[Any], ...]
+    kernels: Mapping[str, int]
+
+
 class LinkDriver(BoardComponent):
     """Driver of lines that can't transfer whole messages directly.
 
@@ -84,7 +101,7 @@ class LinkDriver(BoardComponent):
     """Module of the links' own kernels; empty: those of ``kernels.lines`` serve."""
     line: np.dtype[Any]
 
-    def bind(self, state: State) -> UartMemory | None:  # noqa: ARG002
+    def bind(self, state: State) -> LinkMemory | None:  # noqa: ARG002
         """Copy a state into memory of the links' own kernels; None: they have records of ``kernels.lines``."""
         return None
 

@@ -21,7 +21,6 @@ from cell_firmware.controller import Controller, ControllerState, StepTime, read
 from cell_firmware.effects.base import InputFilter
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Inbox, Inputs, Messages, Outbox, State
-from cell_firmware.shard_faults import ShardFaults
 from cell_firmware.shard_links import Indices, ShardLinks
 from cell_firmware.specs import nanoseconds
 
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from bus.fault import FaultInstance
     from bus.lattice import Lattice
     from cell_firmware.effects.base import ShardContext
+    from cell_firmware.faults.attach import ShardFaults
     from cell_firmware.faults.base import CellFault
     from cell_firmware.payload_codec import PayloadCodec
     from cell_firmware.shard_kernel import ShardKernel, TickResult
@@ -122,11 +122,12 @@ class Shard:
         )
         self._n = len(self.indices)
         self._effects = effects or {}
-        self._faults = ShardFaults(controller, faults, self.indices)
-        controller = self._faults.stepped
+        self._faults: ShardFaults | None = None
+        if faults:
+            controller = self._attached(controller, faults).stepped
         self._stages = tuple(stage for stages in self._effects.values() for stage in stages)
         self._message = controller.link_type
-        self._state = controller.init(cells.select(self.indices))
+        self._state: ControllerState = controller.init(cells.select(self.indices))
         self._active: Indices | None = None  # rows still alive, once some are not
         self._retired = Counter[str]()  # what the others' boards had counted
         self._period_ns = nanoseconds(cells.period_s)
@@ -366,13 +367,25 @@ class Shard:
             self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
             self._stages += stages
             self._kernel = None
-        if self._faults.inject(fault, lattice, site.seed, link_ticks=len(self._outboxes)):
-            self._controller, self._state = self._faults.shown(self._state, self._live_drive)
+        faults = self._attached(self._controller.general)
+        if faults.inject(fault, lattice, site.seed, link_ticks=len(self._outboxes)):
+            self._controller, self._state = faults.shown(self._state, self._live_drive)
             self._kernel = None
+
+    def _attached(
+        self, controller: Controller, faults: Sequence[FaultInstance[CellFault]] = ()
+    ) -> ShardFaults:
+        """Return the shard's faults; a controller carries out the first of them."""
+        if self._faults is None:
+            from cell_firmware.faults.attach import ShardFaults
+
+            self._faults = ShardFaults(controller, faults, self.indices)
+        return self._faults
 
     def repair(self, number: int, tick: int) -> None:
         """End a fault at ``tick``; an unknown fault is ignored."""
-        self._faults.repair(number, tick)
+        if self._faults is not None:
+            self._faults.repair(number, tick)
 
     @property
     def _live_drive(self) -> Floats:
@@ -381,7 +394,7 @@ class Shard:
 
     def _shown(self) -> tuple[Controller, ControllerState]:
         """Return the controller with the wrappers of all faults, and the state as it has it."""
-        if not self._faults.apart:
+        if self._faults is None or not self._faults.apart:
             return self._controller, self._state
         return self._faults.shown(self._state, self._live_drive)
 

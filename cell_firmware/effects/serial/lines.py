@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell_firmware.components import LinkDriver
+from cell_firmware.components import LinkDriver, LinkMemory
 from cell_firmware.controller import StepTime
 from cell_firmware.effects.serial.bursts import BurstType
 from cell_firmware.effects.serial.framing import Bytes, Frame
@@ -17,9 +17,6 @@ from cell_firmware.effects.serial.sender import Sender
 from cell_firmware.effects.serial.timing import LineSettings
 from cell_firmware.errors import FirmwareError
 from cell_firmware.firmware import Cells, Inbox, Messages, Outbox, State
-
-if TYPE_CHECKING:
-    from cell_firmware.effects.serial.memory import UartMemory
 
 _COUNTERS = ("sent", *COUNTERS, "replaced")
 
@@ -84,11 +81,11 @@ class SerialLines(LinkDriver):
         )
         return links
 
-    def bind(self, state: State) -> UartMemory:
+    def bind(self, state: State) -> LinkMemory:
         """Copy a state into the memory of kernels."""
-        from cell_firmware.effects.serial.memory import UartMemory
+        from cell_firmware.effects.serial.memory import uart_memory
 
-        return UartMemory.of(
+        return uart_memory(
             state, self._frame, self.settings, self._receiver.times, self._receiver.shifts, self._window_ns
         )
 

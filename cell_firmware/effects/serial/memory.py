@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell_firmware.components import LinkMemory
 from cell_firmware.effects.serial.framing import Frame
 from cell_firmware.effects.serial.timing import BITS_A_BYTE, LineSettings, LineTimes
 from cell_firmware.firmware import State
@@ -19,83 +19,63 @@ from cell_firmware.message_values import values_of
 _TIMES: Final = ("byte_ns", "come_ns", "idle_ns", "stop_ns")
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class UartMemory:
-    """Lines of n cells, as kernels have them.
+def uart_memory(
+    state: State, frame: Frame, settings: LineSettings, times: LineTimes, shifts: bool, window_ns: int
+) -> LinkMemory:
+    """Copy a state.
 
-    Attributes:
-        parts: The same memory by name, as ``SerialLines`` has it.
-        record: ``(1,)`` of ``kernels.uarts.UARTS``.
-        arrays: Memory at the record's addresses.
+    Args:
+        state: Of n cells.
+        frame: Of the messages.
+        settings: Of the lines.
+        times: Of lines whose clocks are equal.
+        shifts: Whether every window brings a burst, be it empty.
+        window_ns: How long a window of the exchange is.
     """
-
-    parts: State
-    record: NDArray[Any]
-    arrays: tuple[NDArray[Any], ...]
-
-    @staticmethod
-    def of(
-        state: State, frame: Frame, settings: LineSettings, times: LineTimes, shifts: bool, window_ns: int
-    ) -> UartMemory:
-        """Copy a state.
-
-        Args:
-            state: Of n cells.
-            frame: Of the messages.
-            settings: Of the lines.
-            times: Of lines whose clocks are equal.
-            shifts: Whether every window brings a burst, be it empty.
-            window_ns: How long a window of the exchange is.
-        """
-        bursts = sum(name.startswith("data_") for name in state)
-        cells = np.zeros(len(state["gone"]), dtype=UART)
-        for name in _TIMES:
-            cells[name] = getattr(times, name)
-        cells["samples"] = np.arange(BITS_A_BYTE)
-        views = dict[str, NDArray[Any]](_views(cells, bursts))
-        data = np.stack([state[f"data_{i}"] for i in range(bursts)], axis=2)
-        views.update((f"data_{i}", data[:, :, i]) for i in range(bursts))
-        waiting, going, buffer = (state[name].copy() for name in ("waiting", "going", "buffer"))
-        views.update(waiting=waiting, going=going, buffer=buffer)
-        parts = {name: _like(views[name], array) for name, array in state.items()}
-        checks = _checks(frame)
-        record = np.zeros(1, dtype=UARTS)
-        for name, value in {
-            "size": frame.size,
-            "width": state["buffer"].shape[2] - frame.length - 1,
-            "bursts": bursts,
-            "shifts": shifts,
-            "polled": settings.polled,
-            "polled_bytes": settings.polled_bytes,
-            "room": settings.buffer_bytes,
-            "dwell": settings.dwell_periods or 0,
-            "behind": "ppb" in state,
-            "window_ns": window_ns,
-            "period_ns": settings.period_ns,
-            "byte_ns": settings.byte_ns,
-            "late_ns": times.late_ns,
-            "fields": len(checks),
-        }.items():
-            record[name] = value
-        arrays = {
-            "cells": cells,
-            "going": going,
-            "waiting": waiting,
-            "buffer": buffer,
-            "data": data,
-            "checks": checks,
-        }
-        for name, array in arrays.items():
-            assert array.flags.c_contiguous, f"this is a bug: {name} in pieces"
-            record[name] = array.ctypes.data
-        return UartMemory(parts, record, tuple(arrays.values()))
-
-    def describe(self, links: NDArray[Any]) -> None:
-        """Put the addresses of this memory and of its kernels into a record of ``kernels.lines.LINES``."""
-        links["uarts"] = self.record.ctypes.data
-        for name, function in {"receive": receive, "send": send, "idle": idle}.items():
-            links[name] = entry_address(function)
+    bursts = sum(name.startswith("data_") for name in state)
+    cells = np.zeros(len(state["gone"]), dtype=UART)
+    for name in _TIMES:
+        cells[name] = getattr(times, name)
+    cells["samples"] = np.arange(BITS_A_BYTE)
+    views = dict[str, NDArray[Any]](_views(cells, bursts))
+    data = np.stack([state[f"data_{i}"] for i in range(bursts)], axis=2)
+    views.update((f"data_{i}", data[:, :, i]) for i in range(bursts))
+    waiting, going, buffer = (state[name].copy() for name in ("waiting", "going", "buffer"))
+    views.update(waiting=waiting, going=going, buffer=buffer)
+    parts = {name: _like(views[name], array) for name, array in state.items()}
+    checks = _checks(frame)
+    record = np.zeros(1, dtype=UARTS)
+    for name, value in {
+        "size": frame.size,
+        "width": state["buffer"].shape[2] - frame.length - 1,
+        "bursts": bursts,
+        "shifts": shifts,
+        "polled": settings.polled,
+        "polled_bytes": settings.polled_bytes,
+        "room": settings.buffer_bytes,
+        "dwell": settings.dwell_periods or 0,
+        "behind": "ppb" in state,
+        "window_ns": window_ns,
+        "period_ns": settings.period_ns,
+        "byte_ns": settings.byte_ns,
+        "late_ns": times.late_ns,
+        "fields": len(checks),
+    }.items():
+        record[name] = value
+    arrays = {
+        "cells": cells,
+        "going": going,
+        "waiting": waiting,
+        "buffer": buffer,
+        "data": data,
+        "checks": checks,
+    }
+    for name, array in arrays.items():
+        assert array.flags.c_contiguous, f"this is a bug: {name} in pieces"
+        record[name] = array.ctypes.data
+    kernels = {"receive": receive, "send": send, "idle": idle}
+    addresses = {name: entry_address(function) for name, function in kernels.items()}
+    return LinkMemory(parts, record, tuple(arrays.values()), addresses)
 
 
 def _views(cells: NDArray[Any], bursts: int) -> Iterator[tuple[str, NDArray[Any]]]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 
 from bus.partition import Partition
@@ -10,7 +13,7 @@ from deploy.runs.setup import sensor_schema
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override
 from deploy.scenes.scene import Scene
-from deploy.workers.worker import WorkerConfig, build_shard, make_controller
+from deploy.workers.worker import WorkerConfig, build_shard, make_controller, modules_of
 from plant.plant import Plant
 
 
@@ -62,3 +65,29 @@ def test_a_controller_has_the_scene_s_clocks_and_none_without() -> None:
     assert not isinstance(make_controller(_scene()), LocalClockWrapper)
     site = build_shard(_order(_scene(), 2), 0).site
     assert site.clocks is None
+
+
+def test_validators_of_faults_are_built_with_the_shards_of_a_run_that_takes_faults() -> None:
+    """Hundreds of processes would build them in the tick of the first fault."""
+    code = """
+import sys
+from dataclasses import replace
+from cell_firmware.faults.registry import CELL_FAULTS
+from deploy.workers.worker import build_shard
+from tests.deploy.workers.test_worker import _order, _scene
+order = replace(_order(_scene(), 1), byte_accurate_links=sys.argv[1] == "live")
+assert CELL_FAULTS.pydantic_complete is False
+build_shard(order, 0)
+print(CELL_FAULTS.pydantic_complete)
+"""
+    found = [
+        subprocess.run([sys.executable, "-c", code, kind], capture_output=True, text=True, check=True).stdout
+        for kind in ("live", "recorded")
+    ]
+    assert found == ["True\n", "False\n"]
+
+
+def test_kernels_of_byte_wise_lines_are_loaded_ahead_where_faults_may_come() -> None:
+    scene = load_scene("prototype")
+    assert "cell_firmware.kernels.uarts" in modules_of(scene, live=True)
+    assert "cell_firmware.kernels.uarts" not in modules_of(scene)
