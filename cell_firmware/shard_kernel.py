@@ -19,8 +19,6 @@ from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Messages, State
 from cell_firmware.kernels import shard as kernels
 from cell_firmware.kernels.arguments import readable
-from cell_firmware.kernels.program import inputs_type, outputs_type
-from cell_firmware.kernels.values import is_whole_draft
 from cell_firmware.message_drafts import WIDE, as_written
 from cell_firmware.message_values import misfit, values_of
 from cell_firmware.scalar import ScalarFirmware, parameters_record, state_records
@@ -361,23 +359,12 @@ class ShardKernel:
 
     def _bind_program(self, fields: dict[str, Any], cells: Cells) -> None:
         live = len(cells)
-        inputs = np.zeros(1, dtype=inputs_type(self._module.MESSAGE, self._random))
         if self._streams is not None:
-            fields["inputs_random"] = inputs["random"].ctypes.data
             fields["random_keys"] = self._address(self._streams.keys)
             fields["places"] = self._address(np.stack((cells.row, cells.column), axis=1))
-        inputs["sensors"] = self._sensors
-        outputs = np.zeros(1, dtype=outputs_type(self._module.MESSAGE))
-        fields["inputs"] = self._address(inputs)
-        fields["inputs_received"] = inputs["received"].ctypes.data
-        fields["inputs_message"] = inputs["message"].ctypes.data
-        fields["outputs"] = self._address(outputs)
-        fields["outputs_sent"] = outputs["sent"].ctypes.data
-        fields["outputs_draft"] = outputs["message"].ctypes.data
-        if is_whole_draft(self._module.MESSAGE):
-            fields["said"] = fields["outputs_draft"]
-        else:
-            fields["said"] = self._address(np.zeros(4, dtype=self._module.MESSAGE))
+        for flags, messages in (("line_brings", "brought"), ("line_takes", "taken")):
+            fields[flags] = self._address(np.zeros(4, dtype=np.bool_))
+            fields[messages] = self._address(np.zeros(4, dtype=self._module.MESSAGE))
         fields["parameters"], fields["states"] = self._address(self._parameters), self._address(self._records)
         self._failing, self._speed = np.zeros(live, dtype=np.bool_), np.zeros((live, 2))
         self._misfit = np.zeros(live, dtype=np.int64)

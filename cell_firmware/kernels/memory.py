@@ -33,30 +33,75 @@ def array_at(_context, _address, shape, kind):
     array_type = types.Array(kind.dtype, dimensions, "C")
 
     def generate(context, builder, signature, arguments):
-        address, shape, _ = arguments
-        _, shape_type, _ = signature.args
-        lengths = [shape] if dimensions == 1 else cgutils.unpack_tuple(builder, shape)
-        kinds = [shape_type] if dimensions == 1 else list(shape_type)
-        lengths = [
-            context.cast(builder, length, kind, types.intp)
-            for length, kind in zip(lengths, kinds, strict=True)
-        ]
-        array = make_array(array_type)(context, builder)
-        size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
-        strides = [size]
-        for length in reversed(lengths[1:]):
-            strides.insert(0, builder.mul(strides[0], length))
-        populate_array(
-            array,
-            data=builder.inttoptr(address, context.get_data_type(kind.dtype).as_pointer()),
-            shape=lengths,
-            strides=strides,
-            itemsize=size,
-            meminfo=None,
-        )
-        return array._getvalue()  # noqa: SLF001 - so are all of numba's structures read
+        data = builder.inttoptr(arguments[0], context.get_data_type(kind.dtype).as_pointer())
+        return _array(context, builder, array_type, data, signature.args[1], arguments[1])
 
     return array_type(types.int64, shape, kind), generate
+
+
+@intrinsic
+def on_stack(_context, kind):
+    """Return an array of one item in the caller's own memory, of any bytes.
+
+    Nothing else points there, as long as no function that isn't inlined is given it: what was written can stay in
+    registers, and isn't read again after every write elsewhere.
+
+    Args:
+        kind: A NumPy dtype.
+    """
+    array_type = types.Array(kind.dtype, 1, "C")
+
+    def generate(context, builder, _signature, _arguments):
+        data_type = context.get_data_type(kind.dtype)
+        with builder.goto_entry_block():
+            memory = builder.alloca(data_type)
+            memory.align = 16
+        size = context.get_constant(types.intp, context.get_abi_sizeof(data_type))
+        array = make_array(array_type)(context, builder)
+        one = context.get_constant(types.intp, 1)
+        populate_array(array, data=memory, shape=[one], strides=[size], itemsize=size, meminfo=None)
+        return array._getvalue()  # noqa: SLF001 - so are all of numba's structures read
+
+    return array_type(kind), generate
+
+
+@intrinsic
+def part_of(_context, array, start, shape, kind):
+    """Return the array that begins at a byte of another one, in one piece.
+
+    Args:
+        array: Array in one piece.
+        start: Byte at which the part begins.
+        shape: One number or several.
+        kind: A NumPy dtype.
+    """
+    dimensions = 1 if isinstance(shape, types.Integer) else shape.count
+    array_type = types.Array(kind.dtype, dimensions, "C")
+
+    def generate(context, builder, signature, arguments):
+        whole = context.make_array(signature.args[0])(context, builder, arguments[0])
+        byte = ir.IntType(8).as_pointer()
+        place = builder.gep(builder.bitcast(whole.data, byte), [arguments[1]])
+        data = builder.bitcast(place, context.get_data_type(kind.dtype).as_pointer())
+        return _array(context, builder, array_type, data, signature.args[2], arguments[2])
+
+    return array_type(array, start, shape, kind), generate
+
+
+def _array(context, builder, array_type, data, shape_type, shape):
+    """Build an array in one piece."""
+    lengths = [shape] if array_type.ndim == 1 else cgutils.unpack_tuple(builder, shape)
+    kinds = [shape_type] if array_type.ndim == 1 else list(shape_type)
+    lengths = [
+        context.cast(builder, length, kind, types.intp) for length, kind in zip(lengths, kinds, strict=True)
+    ]
+    array = make_array(array_type)(context, builder)
+    size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(array_type.dtype)))
+    strides = [size]
+    for length in reversed(lengths[1:]):
+        strides.insert(0, builder.mul(strides[0], length))
+    populate_array(array, data=data, shape=lengths, strides=strides, itemsize=size, meminfo=None)
+    return array._getvalue()  # noqa: SLF001 - so are all of numba's structures read
 
 
 @intrinsic

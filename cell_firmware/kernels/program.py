@@ -23,13 +23,13 @@ def inputs_type(message: np.dtype[Any], random: tuple[str, ...] = ()) -> np.dtyp
     """
     return np.dtype(
         [
+            ("message", message, (4,)),
             *([("random", [(name, "<f8") for name in random])] if random else ()),
             ("sensors", "<i8"),
             ("level", "<f8", (MOST_SENSORS,)),
             ("label", "<i8"),
             ("presence", "u1", (MOST_SENSORS,)),
             ("received", "u1", (4,)),
-            ("message", message, (4,)),
         ],
         align=True,
     )

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from cell_firmware.kernels import lines
-from cell_firmware.kernels.cell import BOARD, METER, begin_cell, end_cell, read_ns, window_of
+from cell_firmware.kernels.cell import BOARD, METER, begin_cell, count, end_cell, read_ns, window_of
 from cell_firmware.kernels.clock import CLOCK, count_before, due
 from cell_firmware.kernels.debounce import debounced
 from cell_firmware.kernels.draws import draw_cell
 from cell_firmware.kernels.jit import INTEGER, entry, inlined, kernel, read, written
-from cell_firmware.kernels.memory import array_at, clear_memory, copy_memory
+from cell_firmware.kernels.memory import array_at, clear_memory, copy_memory, on_stack, part_of
 from cell_firmware.kernels.program import inputs_type, outputs_type
 from cell_firmware.kernels.speed_loop import LOOP, WHEELS
 from cell_firmware.kernels.values import (
@@ -31,6 +31,8 @@ from cell_firmware.kernels.values import (
     value_records,
 )
 from cell_firmware.kernels.watchdog import WATCHDOG, times_out
+
+LARGEST = np.finfo(np.float64).max
 
 RESETS = -1
 """Result of a tick that was not begun, since a watchdog resets a cell in it."""
@@ -89,16 +91,12 @@ SHARD = np.dtype(
             "sent_1",
             "outbox_0",  # (4 n, size + head or burst) bytes
             "outbox_1",
-            "inputs",  # (1,) of inputs_type; "received" and "message" once more as bytes
-            "inputs_received",
-            "inputs_message",
-            "inputs_random",  # (names,), the same memory as inputs.random; 0 without random numbers
             "random_keys",  # (names, 2) of WORDS
             "places",  # (a, 2): row and column of each live cell
-            "outputs",  # (1,) of outputs_type; likewise
-            "outputs_sent",
-            "outputs_draft",  # (4, words) of 8 bytes, the same memory as outputs.message
-            "said",  # (4, size) bytes, the messages of a draft; the draft itself where it is one
+            "line_brings",  # (4,) bool: whether lines bring a message to the program, ...
+            "brought",  # ... and (4, size) bytes, these messages
+            "line_takes",  # (4,) bool: whether the program sends a message by lines, ...
+            "taken",  # ... and (4, size) bytes, these messages
             "line_received",  # (4,) bool
             "line",  # (4, size + head) bytes; or (4, burst)
             "failed",  # (a,) bool: whether a program drives what is no number, or sends what doesn't fit
@@ -125,8 +123,13 @@ VALUES: Any = None
 LISTS: Any = None
 DRAFT: Any = None
 WHOLE_DRAFT: Any = None
+RANDOM_AT: Any = None
+RECEIVED_AT: Any = None
+MESSAGE_AT: Any = None
+SENT_AT: Any = None
+DRAFT_AT: Any = None
 """A program's step, its types, the bytes of its messages, how many random numbers it has, the numbers and lists of its
-messages, and the words of a draft: see ``compiled_program``."""
+messages, the words of a draft, and places in its inputs and outputs: see ``compiled_program``."""
 
 
 def run_rows(parameters, states, inputs, outputs):
@@ -226,6 +229,16 @@ def leave_shard(sent, outbox, border_from, border_sent, border):
             clear_memory(border[link])
 
 
+@kernel
+def is_finite(draft):
+    """Whether all words of a cell's draft are numbers, ``(4, words)`` of float64."""
+    finite = True
+    for side in range(draft.shape[0]):
+        for word in range(draft.shape[1]):
+            finite &= abs(draft[side, word]) <= LARGEST
+    return finite
+
+
 def run_tick(tick, shards):
     """Step all live cells of a shard.
 
@@ -265,20 +278,27 @@ def run_tick(tick, shards):
     sent = array_at(s.sent_1 if current else s.sent_0, 4 * n, BOOL)
     sent_next = array_at(s.sent_0 if current else s.sent_1, (n, 4), BOOL)
     before, after = s.outbox_1 if current else s.outbox_0, s.outbox_0 if current else s.outbox_1
-    inputs, outputs = array_at(s.inputs, 1, INPUTS)[0], array_at(s.outputs, 1, OUTPUTS)[0]
-    received, message = array_at(s.inputs_received, 4, BOOL), array_at(s.inputs_message, (4, SIZE), BYTE)
-    says, said = array_at(s.outputs_sent, 4, BOOL), array_at(s.said, (4, SIZE), BYTE)
+    every_input, every_output = on_stack(INPUTS), on_stack(OUTPUTS)
+    clear_memory(every_input)
+    inputs, outputs = every_input[0], every_output[0]
+    inputs.sensors = s.sensors
+    received = part_of(every_input, RECEIVED_AT, 4, BOOL)
+    message = part_of(every_input, MESSAGE_AT, (4, SIZE), BYTE)
+    says = part_of(every_output, SENT_AT, 4, BOOL)
     draft, draft_bits = (
-        array_at(s.outputs_draft, (4, DRAFT), DOUBLE),
-        array_at(s.outputs_draft, (4, DRAFT), LONG),
+        part_of(every_output, DRAFT_AT, (4, DRAFT), DOUBLE),
+        part_of(every_output, DRAFT_AT, (4, DRAFT), LONG),
     )
+    line_brings, brought = array_at(s.line_brings, 4, BOOL), array_at(s.brought, (4, SIZE), BYTE)
+    line_takes, taken = array_at(s.line_takes, 4, BOOL), array_at(s.taken, (4, SIZE), BYTE)
     line_received, line = array_at(s.line_received, 4, BOOL), array_at(s.line, (4, SIZE + lines.HEAD), BYTE)
     failed, speed = array_at(s.failed, live, BOOL), array_at(s.speed, (live, 2), DOUBLE)
     misfit = array_at(s.misfit, live, LONG)
     believed = array_at(s.believed, (n, s.sensors), BOOL)
     readings = array_at(s.readings, (n, s.sensors), LONG)
     if RANDOM:  # a constant to the compiler
-        random, keys = array_at(s.inputs_random, RANDOM, DOUBLE), array_at(s.random_keys, (RANDOM, 2), WORDS)
+        random = part_of(every_input, RANDOM_AT, RANDOM, DOUBLE)
+        keys = array_at(s.random_keys, (RANDOM, 2), WORDS)
         places = array_at(s.places, (live, 2), LONG)
     # what links carry: lines put a head before a message; the sizes are constants to the compiler
     lined, lined_next = (
@@ -291,6 +311,12 @@ def run_tick(tick, shards):
     byte_wise, burst = k.lines and link.kind == lines.BYTES, s.burst
     bursts, bursts_next = array_at(before, (4 * n, burst), BYTE), array_at(after, (n, 4, burst), BYTE)
     burst_border = array_at(s.border, (s.links_in, burst), BYTE)
+    # numbers of records are read here: after every write to an array the compiler would read them again
+    messages, metered, has_lines, sensors = s.messages != 0, k.meter, k.lines, s.sensors
+    debounces = s.debounce_ticks != 1
+    # a behavioural cell has none of these parts
+    begins = k.clock or k.watchdog or has_lines
+    ends = begins or k.wheels
     failures = 0
     if live < n:
         for row in range(n):
@@ -299,43 +325,55 @@ def run_tick(tick, shards):
                 sent_next[row, side] = False
     for i in range(live):
         row = rows[i]
-        read_bits(s, row, window, bits, believed, readings, inputs.presence)
-        if k.lines:
+        if debounces:
+            read_bits(s, row, window, bits, believed, readings, inputs.presence)
+        else:
+            for sensor in range(sensors):
+                inputs.presence[sensor] = bits[row, sensor]
+        if has_lines:
             if byte_wise:
                 came = array_at(s.line, (4, burst), BYTE)
                 collect_cell(row, source, sent, bursts, border_received, burst_border, line_received, came)
             else:
                 collect_cell(row, source, sent, lined, border_received, lined_border, line_received, line)
             for side in range(4):
-                received[side] = False
-                clear_memory(message[side])
-        elif s.messages:
+                line_brings[side] = False
+                clear_memory(brought[side])
+        elif messages:
             collect_cell(row, source, sent, whole, border_received, whole_border, received, message)
-        at_ns, runs, _ = begin_cell(
-            k, link, i, tick, now_ns, clocks, watches, cells, waiting, there,
-            line_received, line, received, message,
-        )  # fmt: skip
+        at_ns, runs = now_ns, True
+        if begins:
+            at_ns, runs, _ = begin_cell(
+                k, link, i, tick, now_ns, clocks, watches, cells, waiting, there,
+                line_received, line, line_brings, brought,
+            )  # fmt: skip
+        if has_lines:
+            for side in range(4):
+                received[side] = line_brings[side]
+                copy_memory(brought[side], message[side])
         for side in range(4):
             says[side] = False
             clear_memory(draft_bits[side])
         wanted = outputs.speed_m_s
         wanted[0] = wanted[1] = 0.0
         outputs.served = 1
-        failed[i] = False
+        fails = False
         if runs:
             if RANDOM:
                 draw_cell(keys, window + 1, places[i], random)
             step(parameters[0], states[i], inputs, outputs)
             finite, wrong = np.isfinite(wanted[0]) and np.isfinite(wanted[1]), -1
-            for side in range(4):
-                if s.messages and finite and says[side] and wrong < 0:
-                    clear_beyond(LISTS, draft[side])
-                    place = first_misfit(VALUES, draft[side])
-                    if place >= 0:
-                        wrong, word = side * len(VALUES) + place, VALUES[place].word
-                        speed[i, 0], speed[i, 1] = draft[side, word], draft[side, min(word + 1, DRAFT - 1)]
+            if messages and finite and not (WHOLE_DRAFT and is_finite(draft)):
+                for side in range(4):
+                    if says[side] and wrong < 0:
+                        clear_beyond(LISTS, draft[side])
+                        place = first_misfit(VALUES, draft[side])
+                        if place >= 0:
+                            wrong, word = side * len(VALUES) + place, VALUES[place].word
+                            speed[i, 0] = draft[side, word]
+                            speed[i, 1] = draft[side, min(word + 1, DRAFT - 1)]
             if wrong >= 0 or not finite:
-                failed[i] = True
+                fails = True
                 misfit[i] = wrong
                 failures += 1
                 for axis in range(2):
@@ -344,39 +382,47 @@ def run_tick(tick, shards):
                     wanted[axis] = wanted[axis] if np.isfinite(wanted[axis]) else 0.0
                 for side in range(4):
                     says[side] = False
-        if s.messages:
+        failed[i] = fails
+        if messages:
             for side in range(4):
+                sent_next[row, side] = says[side] and not has_lines
+                target = whole_next[row, side]
+                if has_lines:
+                    target = taken[side]
                 if not says[side]:
-                    clear_memory(said[side])
-                elif not WHOLE_DRAFT:  # a constant to the compiler
-                    round_draft(VALUES, draft[side], draft_bits[side], said[side])
-        out = lined_next[row]
-        if k.lines:
-            for side in range(4):
-                sent_next[row, side] = False
+                    clear_memory(target)
+                elif WHOLE_DRAFT:  # a constant to the compiler
+                    copy_memory(draft[side], target)
+                else:
+                    round_draft(VALUES, draft[side], draft_bits[side], target)
                 if byte_wise:
                     clear_memory(bursts_next[row, side])
-                else:
+                elif has_lines:
                     clear_memory(lined_next[row, side])
+        if ends:
+            out = lined_next[row]
             if byte_wise:
                 out = array_at(after + 4 * row * burst, (4, SIZE + lines.HEAD), BYTE)
-        elif s.messages:
             for side in range(4):
-                sent_next[row, side] = says[side]
-                copy_memory(said[side], whole_next[row, side])
-        end_cell(
-            k, link, loop, i, tick, clocks, watches, wheels, cells, meters, waiting, going,
-            at_ns, runs, received, wanted, failed[i], outputs.served != 0, says, said, encoder_m[row],
-            drive[row], sent_next[row], out,
-        )  # fmt: skip
+                line_takes[side] = says[side]
+            end_cell(
+                k, link, loop, i, tick, clocks, watches, wheels, cells, meters, waiting, going,
+                at_ns, runs, received, wanted, fails, outputs.served != 0, line_takes, taken, encoder_m[row],
+                drive[row], sent_next[row], out,
+            )  # fmt: skip
+        else:
+            for axis in range(2):
+                drive[row, axis] = 0.0 if fails else wanted[axis]
+            if metered:
+                count(meters[i], received, says)
     if byte_wise:
         leave_shard(
             sent_next, bursts_next, border_from, border_sent, array_at(s.border_out, (links_out, burst), BYTE)
         )
-    elif k.lines:
+    elif has_lines:
         lined_out = array_at(s.border_out, (links_out, SIZE + lines.HEAD), BYTE)
         leave_shard(sent_next, lined_next, border_from, border_sent, lined_out)
-    elif s.messages:
+    elif messages:
         whole_out = array_at(s.border_out, (links_out, SIZE), BYTE)
         leave_shard(sent_next, whole_next, border_from, border_sent, whole_out)
     s.current = 1 - current
@@ -417,12 +463,29 @@ def compiled_program(
         "LISTS": list_records(message),
         "DRAFT": draft_words(message),
         "WHOLE_DRAFT": is_whole_draft(message),
+        **_places(inputs, outputs),
     }
     tick = entry(INTEGER, written(SHARD, 1))(_for_program(run_tick, module, names))
     rows = entry(read(parameters, 1), written(state, 1), written(inputs, 1), written(outputs, 1))(
         _for_program(run_rows, module, names)
     )
     return tick, rows
+
+
+def _places(inputs: np.dtype[Any], outputs: np.dtype[Any]) -> dict[str, int]:
+    """Return the bytes at which parts of a step's inputs and outputs begin, by their names in ``run_tick``."""
+    where = {
+        "RANDOM_AT": (inputs, "random"),
+        "RECEIVED_AT": (inputs, "received"),
+        "MESSAGE_AT": (inputs, "message"),
+        "SENT_AT": (outputs, "sent"),
+        "DRAFT_AT": (outputs, "message"),
+    }
+    return {
+        name: kind.fields[part][1]
+        for name, (kind, part) in where.items()
+        if kind.fields and part in kind.fields
+    }
 
 
 def _for_program(function: Any, module: str, names: dict[str, Any]) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cell_firmware.kernels.jit import kernel
+from cell_firmware.kernels.jit import inlined
 from cell_firmware.kernels.programs.hold import aged
 from cell_firmware.kernels.shard import compiled_program
 
@@ -21,7 +21,7 @@ STATE = np.dtype(
 )
 
 
-@kernel
+@inlined
 def step(parameters, state, inputs, outputs):
     """One explicit step of a cell; sides are added in the order north, east, south, west."""
     gain_x, gain_y = 0.0, 0.0

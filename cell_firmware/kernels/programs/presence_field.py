@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cell_firmware.kernels.jit import kernel
+from cell_firmware.kernels.jit import inlined
 from cell_firmware.kernels.programs.hold import aged
 from cell_firmware.kernels.shard import compiled_program
 
@@ -20,7 +20,7 @@ STATE = np.dtype(
 )
 
 
-@kernel
+@inlined
 def step(parameters, state, inputs, outputs):
     """Wake or sleep, and send the own level."""
     highest = 0
