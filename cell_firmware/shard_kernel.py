@@ -19,6 +19,7 @@ from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Messages, State
 from cell_firmware.kernels import shard as kernels
 from cell_firmware.kernels.arguments import readable
+from cell_firmware.kernels.values import draft_words
 from cell_firmware.message_drafts import WIDE, as_written
 from cell_firmware.message_values import misfit, values_of
 from cell_firmware.scalar import ScalarFirmware, parameters_record, state_records
@@ -365,6 +366,7 @@ class ShardKernel:
         for flags, messages in (("line_brings", "brought"), ("line_takes", "taken")):
             fields[flags] = self._address(np.zeros(4, dtype=np.bool_))
             fields[messages] = self._address(np.zeros(4, dtype=self._module.MESSAGE))
+        fields["checked"] = self._address(np.zeros((4, draft_words(self._module.MESSAGE))))
         fields["parameters"], fields["states"] = self._address(self._parameters), self._address(self._records)
         self._failing, self._speed = np.zeros(live, dtype=np.bool_), np.zeros((live, 2))
         self._misfit = np.zeros(live, dtype=np.int64)

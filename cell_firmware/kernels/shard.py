@@ -19,7 +19,7 @@ from cell_firmware.kernels.debounce import debounced
 from cell_firmware.kernels.draws import draw_cell
 from cell_firmware.kernels.jit import INTEGER, entry, inlined, kernel, read, written
 from cell_firmware.kernels.memory import array_at, clear_memory, copy_memory, on_stack, part_of
-from cell_firmware.kernels.program import inputs_type, outputs_type
+from cell_firmware.kernels.program import MOST_SENSORS, inputs_type, outputs_type
 from cell_firmware.kernels.speed_loop import LOOP, WHEELS
 from cell_firmware.kernels.values import (
     clear_beyond,
@@ -96,6 +96,7 @@ SHARD = np.dtype(
             "line_brings",  # (4,) bool: whether lines bring a message to the program, ...
             "brought",  # ... and (4, size) bytes, these messages
             "line_takes",  # (4,) bool: whether the program sends a message by lines, ...
+            "checked",  # (4, words) of 8 bytes, messages of a program that are looked at more closely
             "taken",  # ... and (4, size) bytes, these messages
             "line_received",  # (4,) bool
             "line",  # (4, size + head) bytes; or (4, burst)
@@ -155,8 +156,8 @@ def any_reset(k, s, window, now_ns, clocks, watches):
 
 
 @inlined
-def read_bits(s, row, window, bits, believed, readings, presence):
-    """Read a cell's presence bits, debounced.
+def read_bits(s, row, window, bits, believed, readings):
+    """Debounce a cell's presence bits.
 
     Args:
         s: Record of ``SHARD``, which counts bounces.
@@ -165,29 +166,22 @@ def read_bits(s, row, window, bits, believed, readings, presence):
         bits: ``(n, sensors)``.
         believed: ``(n, sensors)``, the accepted bits, changed in place.
         readings: ``(n, sensors)``, readings in a row that differ from them, changed in place.
-        presence: ``(sensors,)`` at least; is filled with the accepted bits.
     """
-    if s.debounce_ticks == 1:
-        for sensor in range(s.sensors):
-            presence[sensor] = bits[row, sensor]
-        return
-    fresh = True
     if s.clock_period_ns:
         ppb, phase_ns = (
             array_at(s.ppb, s.cells, LONG)[row],
             array_at(s.phase_ns, s.cells, LONG)[row],
         )
         before = count_before(s.clock_period_ns, ppb, phase_ns, window * s.clock_window_ns)
-        fresh = due(s.clock_period_ns, s.clock_window_ns, ppb, phase_ns, window, before) >= 0
+        if due(s.clock_period_ns, s.clock_window_ns, ppb, phase_ns, window, before) < 0:
+            return
     for sensor in range(s.sensors):
         bit = bits[row, sensor]
-        if fresh:
-            if bit == believed[row, sensor] and readings[row, sensor] > 0:
-                s.bounces += 1
-            believed[row, sensor], readings[row, sensor] = debounced(
-                s.debounce_ticks, bit, believed[row, sensor], readings[row, sensor]
-            )
-        presence[sensor] = believed[row, sensor]
+        if bit == believed[row, sensor] and readings[row, sensor] > 0:
+            s.bounces += 1
+        believed[row, sensor], readings[row, sensor] = debounced(
+            s.debounce_ticks, bit, believed[row, sensor], readings[row, sensor]
+        )
 
 
 @inlined
@@ -237,6 +231,29 @@ def is_finite(draft):
         for word in range(draft.shape[1]):
             finite &= abs(draft[side, word]) <= LARGEST
     return finite
+
+
+@kernel
+def first_wrong(values, says, draft, words):
+    """Return the first number of a cell's messages that doesn't fit its field; -1: all fit.
+
+    Args:
+        values: ``(w,)`` of ``VALUE``.
+        says: ``(4,)``, to which sides there is a message.
+        draft: ``(4, words)`` of float64.
+        words: ``(2,)``; is filled with that number's words.
+
+    Returns:
+        Side of the message times ``w``, plus place in it.
+    """
+    for side in range(4):
+        if says[side]:
+            place = first_misfit(values, draft[side])
+            if place >= 0:
+                word = values[place].word
+                words[0], words[1] = draft[side, word], draft[side, min(word + 1, draft.shape[1] - 1)]
+                return side * len(values) + place
+    return -1
 
 
 def run_tick(tick, shards):
@@ -290,6 +307,7 @@ def run_tick(tick, shards):
         part_of(every_output, DRAFT_AT, (4, DRAFT), LONG),
     )
     line_brings, brought = array_at(s.line_brings, 4, BOOL), array_at(s.brought, (4, SIZE), BYTE)
+    checked = array_at(s.checked, (4, DRAFT), DOUBLE)
     line_takes, taken = array_at(s.line_takes, 4, BOOL), array_at(s.taken, (4, SIZE), BYTE)
     line_received, line = array_at(s.line_received, 4, BOOL), array_at(s.line, (4, SIZE + lines.HEAD), BYTE)
     failed, speed = array_at(s.failed, live, BOOL), array_at(s.speed, (live, 2), DOUBLE)
@@ -326,10 +344,10 @@ def run_tick(tick, shards):
     for i in range(live):
         row = rows[i]
         if debounces:
-            read_bits(s, row, window, bits, believed, readings, inputs.presence)
-        else:
-            for sensor in range(sensors):
-                inputs.presence[sensor] = bits[row, sensor]
+            read_bits(s, row, window, bits, believed, readings)
+        for sensor in range(MOST_SENSORS):
+            if sensor < sensors:
+                inputs.presence[sensor] = believed[row, sensor] if debounces else bits[row, sensor]
         if has_lines:
             if byte_wise:
                 came = array_at(s.line, (4, burst), BYTE)
@@ -363,15 +381,18 @@ def run_tick(tick, shards):
                 draw_cell(keys, window + 1, places[i], random)
             step(parameters[0], states[i], inputs, outputs)
             finite, wrong = np.isfinite(wanted[0]) and np.isfinite(wanted[1]), -1
-            if messages and finite and not (WHOLE_DRAFT and is_finite(draft)):
+            if WHOLE_DRAFT:  # a constant to the compiler
+                if messages and finite and not is_finite(draft):
+                    for side in range(4):
+                        line_takes[side] = says[side]
+                        for word in range(DRAFT):
+                            checked[side, word] = draft[side, word]
+                    wrong = first_wrong(VALUES, line_takes, checked, speed[i])
+            elif messages and finite:
                 for side in range(4):
-                    if says[side] and wrong < 0:
+                    if says[side]:
                         clear_beyond(LISTS, draft[side])
-                        place = first_misfit(VALUES, draft[side])
-                        if place >= 0:
-                            wrong, word = side * len(VALUES) + place, VALUES[place].word
-                            speed[i, 0] = draft[side, word]
-                            speed[i, 1] = draft[side, min(word + 1, DRAFT - 1)]
+                wrong = first_wrong(VALUES, says, draft, speed[i])
             if wrong >= 0 or not finite:
                 fails = True
                 misfit[i] = wrong
