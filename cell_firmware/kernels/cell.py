@@ -101,9 +101,12 @@ def begin_cell(
 @kernel
 def count(meter, received, sent):
     """Count the messages of a cell: received ones, and sent ones for which there is a neighbour."""
+    came, went = 0, 0
     for side in range(4):
-        meter.received += received[side]
-        meter.sent += sent[side] and meter.neighbours[side] != 0
+        came += received[side]
+        went += sent[side] and meter.neighbours[side] != 0
+    meter.received += came
+    meter.sent += went
 
 
 @inlined

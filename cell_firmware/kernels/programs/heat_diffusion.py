@@ -25,28 +25,31 @@ STATE = np.dtype(
 def step(parameters, state, inputs, outputs):
     """One explicit step of a cell; sides are added in the order north, east, south, west."""
     gain_x, gain_y = 0.0, 0.0
-    own_x, own_y = state.speed_m_s[0], state.speed_m_s[1]
+    x, y = state.speed_m_s[0], state.speed_m_s[1]
     for side in range(4):
-        state.counts[side] = aged(inputs.received[side] != 0, state.counts[side], parameters.ttl_periods)
         if inputs.received[side]:
-            state.neighbour_m_s[side, 0] = inputs.message[side].vx_m_s
-            state.neighbour_m_s[side, 1] = inputs.message[side].vy_m_s
-        elif state.counts[side] == 0:
-            state.neighbour_m_s[side, 0] = 0.0
-            state.neighbour_m_s[side, 1] = 0.0
+            count = parameters.ttl_periods
+            theirs_x, theirs_y = inputs.message[side].vx_m_s, inputs.message[side].vy_m_s
+        else:
+            count = aged(False, state.counts[side], parameters.ttl_periods)
+            theirs_x, theirs_y = 0.0, 0.0
+            if count > 0:
+                theirs_x, theirs_y = state.neighbour_m_s[side, 0], state.neighbour_m_s[side, 1]
         flow_x, flow_y = 0.0, 0.0
-        if state.counts[side] > 0:
-            flow_x, flow_y = state.neighbour_m_s[side, 0] - own_x, state.neighbour_m_s[side, 1] - own_y
+        if count > 0:
+            flow_x, flow_y = theirs_x - x, theirs_y - y
         gain_x = flow_x if side == 0 else gain_x + flow_x
         gain_y = flow_y if side == 0 else gain_y + flow_y
+        state.counts[side] = count
+        state.neighbour_m_s[side, 0], state.neighbour_m_s[side, 1] = theirs_x, theirs_y
     if not state.held[0]:
-        state.speed_m_s[0] = own_x + parameters.diffusion_number * gain_x
-        state.speed_m_s[1] = own_y + parameters.diffusion_number * gain_y
+        x, y = x + parameters.diffusion_number * gain_x, y + parameters.diffusion_number * gain_y
+        state.speed_m_s[0], state.speed_m_s[1] = x, y
     for side in range(4):
         outputs.sent[side] = 1
-        outputs.message[side].vx_m_s = state.speed_m_s[0]
-        outputs.message[side].vy_m_s = state.speed_m_s[1]
-    outputs.speed_m_s[0], outputs.speed_m_s[1] = state.speed_m_s[0], state.speed_m_s[1]
+        outputs.message[side].vx_m_s = x
+        outputs.message[side].vy_m_s = y
+    outputs.speed_m_s[0], outputs.speed_m_s[1] = x, y
 
 
 tick, rows = compiled_program(__name__, step, PARAMETERS, STATE, MESSAGE)
