@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cell_firmware.faults.attach import ShardFaults
     from cell_firmware.faults.base import CellFault
     from cell_firmware.payload_codec import PayloadCodec
-    from cell_firmware.shard_kernel import ShardKernel, TickResult
+    from cell_firmware.shard_kernel import ShardKernel, Threads, TickResult
 
 _EVERY: Final = slice(None)
 FAULTS: Final = "faults"
@@ -91,6 +91,7 @@ class Shard:
         effects: Input filters by name of the effect, in order of application.
         faults: Faults whose filters are in ``effects``, or that the controller carries out.
         link_ticks: Ticks after which a message is read.
+        threads: Threads that step the cells of a large shard at the same time; None: the calling one alone.
 
     Attributes:
         indices: ``(n,)``, the cells of this shard, by index into the lattice.
@@ -115,6 +116,7 @@ class Shard:
         faults: Sequence[FaultInstance[CellFault]] = (),
         *,
         link_ticks: int = 1,
+        threads: Threads | None = None,
     ) -> None:
         self.indices: Indices = partition.cells(shard)
         self.cells: tuple[tuple[int, int], ...] = tuple(
@@ -138,9 +140,11 @@ class Shard:
         """Messages that are not read yet, a tick each, oldest first."""
 
         self._links = ShardLinks.of(partition, shard)
-        self._controller, self._kernel = self._compiled(controller, cells.sensors)
+        self._controller, self._kernel = self._compiled(controller, cells.sensors, threads)
 
-    def _compiled(self, controller: Controller, sensors: int) -> tuple[Controller, ShardKernel | None]:
+    def _compiled(
+        self, controller: Controller, sensors: int, threads: Threads | None
+    ) -> tuple[Controller, ShardKernel | None]:
         """Return the compiled form of a controller, and the kernel of the shard's ticks; None without one.
 
         No kernels are loaded where there is nothing to compile.
@@ -154,7 +158,9 @@ class Shard:
             return controller, None
         from cell_firmware.shard_kernel import shard_kernel
 
-        return controller, shard_kernel(controller, self._links, self._stages, sensors, self._period_ns)
+        return controller, shard_kernel(
+            controller, self._links, self._stages, sensors, self._period_ns, threads
+        )
 
     def _nothing(self) -> Sent:
         """Return the messages of a tick in which nothing was sent."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, Protocol, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from cell_firmware.shard_links import Indices, ShardLinks
 Outboxes = tuple[Bools, Messages]
 """Whether a slot has a message, ``(4 n,)``, and the messages, ``(4 n,)`` of the type of links."""
 
+_Done = TypeVar("_Done")
 _NO_FAILURES: Final[Mapping[int, FirmwareFailed]] = {}
 
 
@@ -99,12 +100,24 @@ class TickBuffers:
         }
 
 
+class Threads(Protocol):
+    """Threads that share work; the calling one takes part."""
+
+    threads: int
+    """How many."""
+
+    def map_ranges(self, count: int, do: Callable[[int, slice], _Done], least: int) -> list[_Done]:
+        """Have ``range(count)`` done in shares of ``least`` or more, side by side; return what ``do`` returned."""
+        ...
+
+
 def shard_kernel(
     controller: CompiledController,
     links: ShardLinks,
     filters: Sequence[InputFilter],
     sensors: int,
     period_ns: int,
+    threads: Threads | None = None,
 ) -> ShardKernel | None:
     """Return the kernel of a shard; None if its program is not in scalar form, or for filters but debouncing.
 
@@ -114,6 +127,7 @@ def shard_kernel(
         filters: Filters of the inputs, in order of application.
         sensors: Presence sensors of a cell.
         period_ns: Time from one exchange to the next.
+        threads: Threads that step cells at the same time; None: the calling one alone.
     """
     debouncing = [one for one in filters if isinstance(one, Debounce)]
     if not isinstance(controller.firmware, ScalarFirmware) or len(debouncing) < len(filters):
@@ -123,7 +137,7 @@ def shard_kernel(
     if len(debouncing) > 1:
         return None
     debounce = debouncing[0] if debouncing else None
-    return ShardKernel(controller, controller.firmware, links, debounce, sensors, period_ns)
+    return ShardKernel(controller, controller.firmware, links, debounce, sensors, period_ns, threads)
 
 
 @final
@@ -139,6 +153,7 @@ class ShardKernel:
         debounce: Debouncing of presence bits; None: bits are taken as they are.
         sensors: Presence sensors of a cell.
         period_ns: Time from one exchange to the next, at which all cells read; unless they have clocks of their own.
+        threads: Threads that step cells at the same time; None: the calling one alone.
 
     Attributes:
         buffers: Inputs and outputs of a tick.
@@ -155,6 +170,7 @@ class ShardKernel:
         debounce: Debounce | None,
         sensors: int,
         period_ns: int,
+        threads: Threads | None,
     ) -> None:
         module = self._module = firmware.scalar_kernels()
         self._compared_ticks = getattr(module, "compared_ticks", 0)
@@ -169,7 +185,8 @@ class ShardKernel:
         self._parameters = parameters_record(module.PARAMETERS, firmware.constants())
         self._records: NDArray[Any] = np.zeros(0, dtype=module.STATE)
         self._program: State = {}
-        self._shard = np.zeros(1, dtype=kernels.SHARD)
+        self._threads = threads
+        self._shards: NDArray[Any] = np.zeros(0, dtype=kernels.SHARD)
         self._owned: list[NDArray[Any]] = []
         self.outboxes: list[Outboxes] = []
         self._spare: Outboxes | None = None
@@ -225,8 +242,7 @@ class ShardKernel:
         self._bind_program(fields, state.cells)
         self._bind_sensors(fields)
         fields |= {name: self._address(array) for name, array in self.buffers.by_name().items()}
-        for name, value in fields.items():
-            self._shard[name] = value
+        self._share(fields, live)
         self._bound = (state, rows, None if self._debounce is None else self._debounce.memory[0])
         return state
 
@@ -272,13 +288,53 @@ class ShardKernel:
         """
         if tick < self._compared_ticks:
             return None
-        failures, bounces = self._module.tick(tick, self._shard)
+        failures, bounces = self._tick(tick)
         if failures == kernels.RESETS:
             return None
         self._turn_outboxes()
         if bounces and self._debounce is not None:
             self._debounce.counters["bounces"] += bounces
         return self._failed(tick) if failures else _NO_FAILURES
+
+    def _tick(self, tick: int) -> tuple[int, int]:
+        """Step all live cells; return what ``kernels.run_tick`` does."""
+        shards, step = self._shards, self._module.tick
+        if len(shards) == 1:
+            return step(tick, shards)
+        assert self._threads is not None, "this is a bug: shares for no threads"
+        done = self._threads.map_ranges(len(shards) - 1, lambda _, which: step(tick, shards[which]), 1)
+        done.append(step(tick, shards[-1:]))
+        return sum(failures for failures, _ in done), sum(bounces for _, bounces in done)
+
+    def _share(self, fields: Mapping[str, Any], live: int) -> None:
+        """Fill a record for the shard; or one for each thread's share of its cells, and one for the border after them.
+
+        A watchdog's reset and dead cells concern all shares: one thread does then.
+        """
+        threads = 1 if self._threads is None else self._threads.threads
+        shares = 1 if threads < 2 or self.hangs or live < self._cells else threads
+        self._shards = np.zeros(1 if shares == 1 else shares + 1, dtype=kernels.SHARD)
+        for name, value in fields.items():
+            self._shards[name] = value
+        self._shards["leaves"][-1] = True
+        for share in range(shares):
+            own = self._shards[share : share + 1]
+            own["first"], own["last"] = share * live // shares, (share + 1) * live // shares
+            for name, array in self._scratch().items():
+                own[name] = self._address(array)
+
+    def _scratch(self) -> dict[str, NDArray[Any]]:
+        """Return memory for the cell that is stepped."""
+        message = self._module.MESSAGE
+        return {
+            "line_received": np.zeros(4, dtype=np.bool_),
+            "line": np.zeros(4, dtype=self._line),
+            "line_brings": np.zeros(4, dtype=np.bool_),
+            "brought": np.zeros(4, dtype=message),
+            "line_takes": np.zeros(4, dtype=np.bool_),
+            "taken": np.zeros(4, dtype=message),
+            "checked": np.zeros((4, draft_words(message))),
+        }
 
     def _failed(self, tick: int) -> dict[int, FirmwareFailed]:
         assert self._bound is not None, "this is a bug: a step before a state was bound"
@@ -328,9 +384,9 @@ class ShardKernel:
         self.outboxes.append(self._spare)
         self._spare = read
         if len(self.outboxes) > 1:  # else the kernel exchanges both by itself
-            self._shard["current"] = 0
+            self._shards["current"] = 0
             for name, value in self._outbox_addresses().items():
-                self._shard[name] = value
+                self._shards[name] = value
 
     def _outbox_addresses(self) -> dict[str, int]:
         """Return the addresses of two outboxes: to be read in the next tick, and to be filled."""
@@ -355,18 +411,12 @@ class ShardKernel:
         fields["rows"] = self._address(np.arange(n) if rows is None else readable(rows))
         fields["source"] = self._address(self._links.sources())
         fields["border_from"] = self._address(readable(self._links.out_from))
-        fields["line_received"] = self._address(np.zeros(4, dtype=np.bool_))
-        fields["line"] = self._address(np.zeros(4, dtype=self._line))
 
     def _bind_program(self, fields: dict[str, Any], cells: Cells) -> None:
         live = len(cells)
         if self._streams is not None:
             fields["random_keys"] = self._address(self._streams.keys)
             fields["places"] = self._address(np.stack((cells.row, cells.column), axis=1))
-        for flags, messages in (("line_brings", "brought"), ("line_takes", "taken")):
-            fields[flags] = self._address(np.zeros(4, dtype=np.bool_))
-            fields[messages] = self._address(np.zeros(4, dtype=self._module.MESSAGE))
-        fields["checked"] = self._address(np.zeros((4, draft_words(self._module.MESSAGE))))
         fields["parameters"], fields["states"] = self._address(self._parameters), self._address(self._records)
         self._failing, self._speed = np.zeros(live, dtype=np.bool_), np.zeros((live, 2))
         self._misfit = np.zeros(live, dtype=np.int64)

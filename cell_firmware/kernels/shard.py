@@ -49,6 +49,9 @@ SHARD = np.dtype(
         for name in (
             "cells",  # n of the shard, dead ones included
             "live",  # a of them that live
+            "first",  # live cells from this one on, ...
+            "last",  # ... before this one, are stepped
+            "leaves",  # whether messages are taken over the border then
             "sensors",  # of a cell
             "messages",  # whether there are any
             "slots",  # of a serial line's past
@@ -257,7 +260,7 @@ def first_wrong(values, says, draft, words):
 
 
 def run_tick(tick, shards):
-    """Step all live cells of a shard.
+    """Step live cells of a shard, from ``first`` on, before ``last``.
 
     Args:
         tick: Of the exchange with the plant.
@@ -341,7 +344,7 @@ def run_tick(tick, shards):
             drive[row, 0] = drive[row, 1] = 0.0
             for side in range(4):
                 sent_next[row, side] = False
-    for i in range(live):
+    for i in range(s.first, s.last):
         row = rows[i]
         if debounces:
             read_bits(s, row, window, bits, believed, readings)
@@ -436,14 +439,14 @@ def run_tick(tick, shards):
                 drive[row, axis] = 0.0 if fails else wanted[axis]
             if metered:
                 count(meters[i], received, says)
-    if byte_wise:
+    if s.leaves and byte_wise:
         leave_shard(
             sent_next, bursts_next, border_from, border_sent, array_at(s.border_out, (links_out, burst), BYTE)
         )
-    elif has_lines:
+    elif s.leaves and has_lines:
         lined_out = array_at(s.border_out, (links_out, SIZE + lines.HEAD), BYTE)
         leave_shard(sent_next, lined_next, border_from, border_sent, lined_out)
-    elif messages:
+    elif s.leaves and messages:
         whole_out = array_at(s.border_out, (links_out, SIZE), BYTE)
         leave_shard(sent_next, whole_next, border_from, border_sent, whole_out)
     s.current = 1 - current

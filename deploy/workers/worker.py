@@ -32,9 +32,13 @@ if TYPE_CHECKING:
     from cell_firmware.shard import Shard
     from deploy.scenes.scene import Scene
     from plant.array import CellArray
+    from plant.solvers.thread_pool import ThreadPool
 
 _BEGIN: Final = 0.6
 """Time for the ``init`` of a shard's programs, as a share of the time until every cell must be ready."""
+
+_THREAD_CELLS: Final = 10_000
+"""Fewest cells of a thread: waking it takes as long as stepping some thousand."""
 
 
 @final
@@ -413,9 +417,20 @@ def build_shard(order: WorkerConfig, index: int) -> BuiltShard:
         stages,
         () if faults is None else faults.injected,
         link_ticks=scene.bus.link_ticks,
+        threads=_threads(len(cells), order.partition.count),
     )
     shard.shows_messages = order.messages or order.byte_accurate_links
     return BuiltShard(shard, site, records_of(firmware))
+
+
+def _threads(cells: int, workers: int) -> ThreadPool | None:
+    """Return threads for the cells of a shard, as many as it has processors; None for the calling one alone."""
+    if cells < 2 * _THREAD_CELLS:
+        return None
+    from plant.solvers.thread_pool import ThreadPool, processors
+
+    threads = min(processors() // workers, cells // _THREAD_CELLS)
+    return ThreadPool(threads) if threads > 1 else None
 
 
 def dead_by_schedule(order: WorkerConfig, shard: int, schedule: Deaths, ticks: int) -> bool:
