@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import chain
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 from bus.wire.fixed_layout import Layouts, PayloadLayout
 from bus.wire.message_type import boolean_places, bounded_lists, overlong
 from cell_firmware.kernels import payload as kernels
+from cell_firmware.kernels.arguments import message_bytes
 from cell_firmware.shard_kernel import TickBuffers
+
+_LARGE: Final = 65_536
+"""Bytes of a payload from which copying it once more takes longer than a few objects of Python."""
 
 
 @final
@@ -50,6 +54,7 @@ class PayloadCodec:
         self._sense_tick, self._drive_tick = sense.places["tick"], drive.places["tick"]
         self._sense_fields, self._drive_fields = _fields(sense, given), _fields(drive, done)
         self._payload = np.frombuffer(bytearray(drive.constant), np.uint8)
+        self._parts = _parts(drive, done)
         self._end_tick = min(sense.end_tick, drive.end_tick)
 
     def read(self, tick: int, payload: bytes) -> bool:
@@ -75,8 +80,20 @@ class PayloadCodec:
         """Return the drive payload of the buffers; drives must be finite. Ticks ascend."""
         if tick >= self._end_tick:
             self._lay_out(tick)
+        if self._payload.size > _LARGE:
+            self._parts[1] = tick.to_bytes(self._drive_tick[1], "big")
+            return b"".join(self._parts)
         kernels.write_payload(tick, *self._drive_tick, self._drive_fields, self._payload)
         return self._payload.tobytes()
+
+
+def _parts(layout: PayloadLayout, buffers: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
+    """Return what a payload consists of: constant bytes before each place, and what is in the place, or nothing yet."""
+    parts, end = list[bytes | memoryview](), 0
+    for name, (start, size) in layout.places.items():
+        parts += [layout.constant[end:start], b"" if name == "tick" else message_bytes(buffers[name]).data]
+        end = start + size
+    return [*parts, layout.constant[end:]]
 
 
 def _fields(layout: PayloadLayout, buffers: Mapping[str, NDArray[Any]]) -> NDArray[Any]:

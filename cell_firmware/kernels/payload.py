@@ -99,9 +99,11 @@ def read_payload(tick, payload, constant, tick_at, tick_bytes, fields, booleans)
         buffer = array_at(field.buffer, field.size, BYTE)
         copy_memory(payload[field.start : field.start + field.size], buffer)
         if field.truth:
-            for b in range(field.size):
-                if buffer[b] > 1:
-                    return False
+            wrong = np.uint8(0)
+            for b in range(field.size):  # without a way out: many at a time
+                wrong |= buffer[b] & 0xFE
+            if wrong:
+                return False
         if field.numbers:
             for start in range(0, field.size, 8):
                 if not is_finite(buffer, start):

@@ -22,6 +22,7 @@ from cell_firmware.errors import FirmwareFailed
 from cell_firmware.faults.base import CellFault
 from cell_firmware.firmware import Cells, Firmware
 from cell_firmware.shard import FAULTS, BoundaryMessages, Shard, ShardOutputs
+from cell_firmware.shard_kernel import Threads
 from cell_firmware.specs import CellsSpec
 from mdms import Lab
 
@@ -61,6 +62,7 @@ class Lockstep:
         faults: Sequence[FaultInstance[CellFault]] = (),
         *,
         live: bool = False,
+        threads: Threads | None = None,
     ) -> None:
         self.partition = partition
         self.lattice = partition.lattice
@@ -86,7 +88,9 @@ class Lockstep:
             stages = asked.input_filters(site)
             if injected is not None:
                 stages[FAULTS] = injected.stages(site)
-            self.shards.append(Shard(controller, cells_of(self.lattice), partition, s, stages, faults))
+            self.shards.append(
+                Shard(controller, cells_of(self.lattice), partition, s, stages, faults, threads=threads)
+            )
         self.links: list[BoundaryMessages | None] = [None] * partition.count
         self.tick = 0
         self.failures: list[FirmwareFailed] = []

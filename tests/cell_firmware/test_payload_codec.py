@@ -13,6 +13,7 @@ from bus.wire.format import RelayedLinks, RunSchema
 from bus.wire.formats import FORMATS
 from bus.wire.frames import DriveFrame, LinkFrame, SenseFrame
 from bus.wire.message_type import bounded_list
+from cell_firmware import payload_codec
 from cell_firmware.payload_codec import PayloadCodec
 from cell_firmware.shard_kernel import TickBuffers
 from cell_firmware.shard_links import ShardLinks
@@ -70,7 +71,9 @@ def test_senses_are_read_as_by_the_wire_format(encoders: bool) -> None:
             assert side.buffers.encoder_m.tobytes() == senses.encoder_m.tobytes()
 
 
-def test_drives_are_written_as_by_the_wire_format() -> None:
+@pytest.mark.parametrize("is_large", [False, True])
+def test_drives_are_written_as_by_the_wire_format(is_large: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(payload_codec, "_LARGE", 0 if is_large else 1e9)
     side = Side()
     buffers, draw = side.buffers, side.draw
     for tick in (0, 1, 255, 256, 2**40 + 5):
@@ -159,7 +162,10 @@ class PackedSide:
 
 
 @pytest.mark.parametrize(("rows", "encoders"), [(1, True), (3, False), (4, True), (800, True)])
-def test_packed_payloads_are_read_and_written_as_by_the_wire_format(rows: int, encoders: bool) -> None:
+def test_packed_payloads_are_read_and_written_as_by_the_wire_format(
+    rows: int, encoders: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(payload_codec, "_LARGE", 500)  # which some of them are
     side = PackedSide(rows, encoders=encoders)
     for tick in TICKS:
         payload = side.payload(tick)
