@@ -101,7 +101,7 @@ class TickBuffers:
 
 
 class Threads(Protocol):
-    """Threads that share work; the calling one takes part."""
+    """Threads that share work with the calling thread."""
 
     threads: int
     """How many."""

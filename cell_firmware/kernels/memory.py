@@ -67,7 +67,7 @@ def on_stack(_context, kind):
 
 @intrinsic
 def part_of(_context, array, start, shape, kind):
-    """Return the array that begins at a byte of another one, in one piece.
+    """Return the array that begins at a byte of an array.
 
     Args:
         array: Array in one piece.
