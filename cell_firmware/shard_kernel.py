@@ -302,26 +302,30 @@ class ShardKernel:
         if len(shards) == 1:
             return step(tick, shards)
         assert self._threads is not None, "this is a bug: shares for no threads"
-        done = self._threads.map_ranges(len(shards) - 1, lambda _, which: step(tick, shards[which]), 1)
-        done.append(step(tick, shards[-1:]))
+        first, shares, last = shards[:1], shards[1:-1], shards[-1:]
+        done = [step(tick, first)]
+        if done[0][0] == kernels.RESETS:
+            return done[0]
+        done += self._threads.map_ranges(len(shares), lambda _, which: step(tick, shares[which]), 1)
+        done.append(step(tick, last))
         return sum(failures for failures, _ in done), sum(bounces for _, bounces in done)
 
     def _share(self, fields: Mapping[str, Any], live: int) -> None:
-        """Fill a record for the shard; or one for each thread's share of its cells, and one for the border after them.
-
-        A watchdog's reset and dead cells concern all shares: one thread does then.
-        """
+        """Fill a record for the shard; or one for each thread's share of its cells, and one before and after these."""
         threads = 1 if self._threads is None else self._threads.threads
-        shares = 1 if threads < 2 or self.hangs or live < self._cells else threads
-        self._shards = np.zeros(1 if shares == 1 else shares + 1, dtype=kernels.SHARD)
+        shares = [(0, live)]
+        if threads > 1:
+            shares = [(k * live // threads, (k + 1) * live // threads) for k in range(threads)]
+            shares = [(0, 0), *shares, (0, 0)]
+        self._shards = np.zeros(len(shares), dtype=kernels.SHARD)
         for name, value in fields.items():
             self._shards[name] = value
-        self._shards["leaves"][-1] = True
-        for share in range(shares):
-            own = self._shards[share : share + 1]
-            own["first"], own["last"] = share * live // shares, (share + 1) * live // shares
+        self._shards["opens"][0] = self._shards["closes"][-1] = True
+        for k, (first, last) in enumerate(shares):
+            shard = self._shards[k : k + 1]
+            shard["first"], shard["last"] = first, last
             for name, array in self._scratch().items():
-                own[name] = self._address(array)
+                shard[name] = self._address(array)
 
     def _scratch(self) -> dict[str, NDArray[Any]]:
         """Return memory for the cell that is stepped."""

@@ -51,7 +51,8 @@ SHARD = np.dtype(
             "live",  # a of them that live
             "first",  # live cells from this one on, ...
             "last",  # ... before this one, are stepped
-            "leaves",  # whether messages are taken over the border then
+            "opens",  # whether watchdogs are looked at and dead cells silenced before
+            "closes",  # whether messages are taken over the border then
             "sensors",  # of a cell
             "messages",  # whether there are any
             "slots",  # of a serial line's past
@@ -280,7 +281,7 @@ def run_tick(tick, shards):
     clocks, watches = array_at(s.clocks, live, CLOCK), array_at(s.watches, live, WATCHDOG)
     window = window_of(k, tick)
     now_ns, bounces = tick * s.period_ns, s.bounces
-    if k.watchdog and any_reset(k, s, window, now_ns, clocks, watches):
+    if s.opens and k.watchdog and any_reset(k, s, window, now_ns, clocks, watches):
         return RESETS, 0
     wheels, meters = array_at(s.wheels, live, WHEELS), array_at(s.meters, live, METER)
     cells = array_at(s.lines, live, lines.LINE)
@@ -339,7 +340,7 @@ def run_tick(tick, shards):
     begins = k.clock or k.watchdog or has_lines
     ends = begins or k.wheels
     failures = 0
-    if live < n:
+    if s.opens and live < n:
         for row in range(n):
             drive[row, 0] = drive[row, 1] = 0.0
             for side in range(4):
@@ -439,14 +440,14 @@ def run_tick(tick, shards):
                 drive[row, axis] = 0.0 if fails else wanted[axis]
             if metered:
                 count(meters[i], received, says)
-    if s.leaves and byte_wise:
+    if s.closes and byte_wise:
         leave_shard(
             sent_next, bursts_next, border_from, border_sent, array_at(s.border_out, (links_out, burst), BYTE)
         )
-    elif s.leaves and has_lines:
+    elif s.closes and has_lines:
         lined_out = array_at(s.border_out, (links_out, SIZE + lines.HEAD), BYTE)
         leave_shard(sent_next, lined_next, border_from, border_sent, lined_out)
-    elif s.leaves and messages:
+    elif s.closes and messages:
         whole_out = array_at(s.border_out, (links_out, SIZE), BYTE)
         leave_shard(sent_next, whole_next, border_from, border_sent, whole_out)
     s.current = 1 - current
