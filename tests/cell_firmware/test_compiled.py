@@ -18,6 +18,7 @@ from cell_firmware.build import MotorFacts
 from cell_firmware.cell import CellFirmware, CellInputs, CellOutputs, PerCellAdapter
 from cell_firmware.compiled import CompiledController
 from cell_firmware.effects.registry import CellEffects
+from cell_firmware.effects.serial.framing import check_of
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.loader import load
 from cell_firmware.program import NoParameters
@@ -220,6 +221,27 @@ def test_bytes_that_are_disturbed_on_the_way_are_read_alike(lockstep: Any, effec
     counters = sum((shard.counters() for shard in pair.both[0].shards), Counter[str]())
     assert counters["serial.damaged"] > 100
     assert (counters["serial.overruns"] > 10) == (effects == "polled twice")
+
+
+def test_frames_with_a_check_byte_but_values_that_no_program_sends_are_damaged_alike(lockstep: Any) -> None:
+    pair = Pair(lockstep, "moody", "serial, byte by byte", 4, MOTORS)
+    draw = np.random.default_rng(11)
+    infinite = np.array([0x00, 0x00, 0x80, 0x7F, 0x01, 0x02, 0x00], dtype=np.uint8)  # infinity, 513, false
+    for _ in range(60):
+        pair.step()
+        for ours, theirs in zip(pair.both[0].links, pair.both[1].links, strict=True):
+            frames = np.zeros((len(ours.sent), 8), dtype=np.uint8)
+            frames[:, :7] = draw.integers(0, 256, (len(frames), 7))
+            frames[:, 6] %= 3  # a truth value, or 2
+            frames[::4, :7] = infinite
+            frames[:, 7] = check_of(frames[:, :7])
+            ours.message[:] = np.zeros((), dtype=ours.message.dtype)
+            ours.message["bytes_1"], ours.message["start_1_ns"], ours.sent[:] = 8, 1_000, True
+            ours.message["word_0"] = frames.view("<u8")[:, 0]
+            theirs.message[:], theirs.sent[:] = ours.message, ours.sent
+    pair.compare()
+    counters = sum((shard.counters() for shard in pair.both[0].shards), Counter[str]())
+    assert counters["serial.damaged"] > 100
 
 
 def compare_for(ticks: int, lockstep: Any, program: str, effects: str, shards: int) -> None:

@@ -384,6 +384,41 @@ def test_compiled_steps_are_checked_alike_in_compared_ticks_and_after() -> None:
             assert stepped(Scalar(changed(path, value), tick), tick)[1] == [f"message field {problem}"]
 
 
+class Reals(ScalarProgram):
+    """Sends float64 alone, which the compiled step checks all at once."""
+
+    message = np.dtype([("x", "<f8"), ("y", "<f8")])
+    constants_type = np.dtype([("y", "<f8"), ("bad_tick", "<i8")])
+    state_type = np.dtype([("column", "<i8"), ("tick", "<i8")])
+
+    def __init__(self, y: float, bad_tick: int) -> None:
+        super().__init__(NONE)
+        self.y, self.bad_tick = y, bad_tick
+
+    def constants(self) -> dict[str, Any]:
+        return {"y": self.y, "bad_tick": self.bad_tick}
+
+    def init(self, cells: Cells) -> State:
+        return {"column": cells.column, "tick": np.zeros(len(cells), np.int64)}
+
+    @staticmethod
+    def cell_step(constants: Any, state: Any, inputs: Any, outputs: Any) -> None:
+        outputs.speed_m_s[0] = 0.5
+        outputs.message[WEST].y = constants.y  # is not sent
+        outputs.sent[EAST] = 1
+        if state.column == CULPRIT and state.tick == constants.bad_tick:
+            outputs.message[EAST].y = constants.y
+        state.tick += 1
+
+
+@pytest.mark.parametrize("y", [float("nan"), float("inf"), -float("inf")])
+def test_compiled_steps_refuse_float64_that_is_not_finite_where_it_is_sent(y: float) -> None:
+    tick = COMPARED_TICKS + 2
+    shard, problems = stepped(Reals(y, tick), tick)
+    assert shard._kernel is not None
+    assert problems == [f"message field y to the east is {y}: must be a finite number (float64)"]
+
+
 @pytest.mark.parametrize(
     ("path", "value", "error"),
     [
