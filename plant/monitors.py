@@ -144,14 +144,18 @@ class RestDetector:
         self._radius, self._slow_m_s = radius, slow_m_s
         self._resting: NDArray[np.bool_] = np.zeros(len(radius), dtype=np.bool_)
 
-    def may_change(self, state: Floats, which: Numbers) -> bool:
-        """Whether some parcel is slow, or at rest so far: else `changes` has none, and its work can be spared.
+    def any_changes(self, before: Floats, after: Floats, span_ns: int, which: Numbers) -> bool:
+        """Whether `changes` has some for two states: else its work can be spared, which would be more than a tick's.
 
         Args:
-            state: ``(m, 6)``, now.
+            before: ``(m, 6)``.
+            after: ``(m, 6)``.
+            span_ns: Time between them.
             which: Parcels that are watched.
         """
-        return self._entry.any_slow(state, self._radius, self._resting, which, self._slow_m_s)
+        return self._entry.any_rest_change(
+            before, after, span_ns * 1e-9, self._radius, self._resting, which, self._slow_m_s
+        )
 
     def changes(
         self, states: Floats, times_ns: NDArray[np.int64], which: Numbers

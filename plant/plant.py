@@ -272,7 +272,7 @@ class Plant:
         return self._last_readings or self.sense()
 
     def advance(
-        self, drives: Floats, until_ns: int, timing: Timing | None = None
+        self, drives: Floats, until_ns: int, timing: Timing | None = None, *, owned: bool = False
     ) -> tuple[Sense, list[Event]]:
         """Move on to ``until_ns`` with constant drives.
 
@@ -280,6 +280,7 @@ class Plant:
             drives: ``(n, 2)`` surface speeds in m/s, or volts where the scene has motors; finite.
             until_ns: not before now.
             timing: when each cell's drive takes effect and when it reads; None: all act now, and read at the end.
+            owned: Whether the plant may keep ``drives``, to which nobody writes from now on, without a copy.
 
         Returns:
             What the cells sense then, or read last by then where each has its instant, and what happened on the way.
@@ -296,7 +297,7 @@ class Plant:
             if reading.any_at_start:
                 reading.start(self.sense())
         acts_s = None if timing is None else timing.acts_s(self._now_ns)
-        events = self._step(drives, until_ns, acts_s, reading)
+        events = self._step(drives if owned else _copied(drives), until_ns, acts_s, reading)
         self._last_readings = self.sense() if reading is None else reading.sense(self.sense())
         return self._last_readings, events
 
@@ -316,7 +317,7 @@ class Plant:
             self._put_back(before, start_ns, status)
             raise
         after = self.state
-        if self._rest.may_change(after, self._moves.moving):
+        if self._rest.any_changes(before, after, until_ns - start_ns, self._moves.moving):
             self._note_rest(np.stack([before, after]), np.array([start_ns, until_ns]))
         if self._pending_events:
             events, self._pending_events = [*self._pending_events, *events], []
@@ -348,7 +349,7 @@ class Plant:
         times = np.arange(self._now_ns, until_ns, sample_ns, dtype=np.int64)
         if len(times) == 0 or times[-1] != until_ns:
             times = np.append(times, until_ns)
-        start_ns = self._now_ns
+        start_ns, drives = self._now_ns, _copied(drives)
         state = np.empty((len(times), len(self._solver.bodies), 6))
         state[0] = self.state
         if self._traffic is not None or (self._contact is not None and self._contact.resolves):
@@ -420,8 +421,7 @@ class Plant:
             raise self._chronicle.halted
         span = (until_ns - self._now_ns) * 1e-9
         start = self._now_ns * 1e-9
-        # a copy: the wheels keep it, and whoever gave it may change it or have it read-only
-        run = self._wheels.command(np.array(drives, dtype=np.float64, order="C"), span, acts_s)
+        run = self._wheels.command(drives, span, acts_s)
         if samples is None:
             events = self._moves.advance(run, span, start, reading, self.sense)
         else:
@@ -444,6 +444,11 @@ class Plant:
         """Return events for parcels that began or ceased to overlap."""
         changes = self._overlaps.changes(state, self._moves.on_surface)
         return [meeting(time_s, *change) for change in changes]
+
+
+def _copied(drives: Floats) -> Floats:
+    """Return drives that the wheels may keep: whoever gave them may change them, or have them read-only."""
+    return np.array(drives, dtype=np.float64, order="C")
 
 
 def _read_only(array: Floats) -> Floats:

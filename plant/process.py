@@ -248,7 +248,7 @@ class PlantProcess:
         """Advance the plant through a tick."""
         if self._timing is None:
             self._drives = drives
-            return self._plant.advance(drives, until_ns)
+            return self._plant.advance(drives, until_ns, owned=True)
         acts_ns, reads_ns = self._timing(tick)
         if self._delayed is not None:
             acts_ns = self._delayed.delay_instants(acts_ns, self._clock.tick_ns)
@@ -258,7 +258,7 @@ class PlantProcess:
         late = acts_ns >= until_ns
         self._drives = np.where(late[:, None], self._drives, drives)
         timing = Timing(np.where(late, -1, acts_ns), np.where(reads_ns < until_ns, reads_ns, -1))
-        return self._plant.advance(self._drives, until_ns, timing)
+        return self._plant.advance(self._drives, until_ns, timing, owned=True)
 
     def _exchange(self, tick: int, sense: Sense, died: tuple[int, ...]) -> tuple[Floats, Sequence[Loss]]:
         """Publish the sensor readings, and gather the drives and the losses of a tick.

@@ -88,7 +88,7 @@ class LockstepPort(Protocol):
         ...
 
     def gather(self, tick: int) -> tuple[DriveFrame, Sequence[Loss]]:
-        """Return the drives of all cells, and the losses found in ``tick``."""
+        """Return the drives of all cells, in an array that is the caller's own, and the losses found in ``tick``."""
         ...
 
     def mark_dead(self, cells: Sequence[int], tick: int) -> None:

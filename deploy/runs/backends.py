@@ -180,7 +180,7 @@ class _DirectPort:
             self.shard.retire(failure.cell for failure in failures)
             drive = np.zeros((len(self.shard), 2))
         else:
-            failures, drive = outputs.failures, outputs.drive
+            failures, drive = outputs.failures, outputs.drive.copy()
         losses = [
             Loss(self._index[failure.cell], tick, "failed", report_text(failure)) for failure in failures
         ]

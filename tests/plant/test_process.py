@@ -41,8 +41,9 @@ class BookPlant:
         return Sense(np.array([[self.advances % 2 == 1], [False], [False]]), None)
 
     def advance(
-        self, drives: NDArray[np.float64], until_ns: int, timing: Timing | None = None
+        self, drives: NDArray[np.float64], until_ns: int, timing: Timing | None = None, *, owned: bool = False
     ) -> tuple[Sense, list[Any]]:
+        del owned
         self.log.append(("advance", until_ns, drives.tolist()))
         if timing is not None:
             self.log.append(("timing", timing.acts_ns.tolist(), timing.reads_ns.tolist()))

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from plant.effects.motors import MotorsSpec
 from plant.errors import PlantError
+from plant.monitors import RestDetector
 from plant.plant import Plant
 from tests.plant.scenes import MU, SECOND, TICK_NS, G, elliptic, members, parcel, spec, study, turned
 
@@ -260,3 +264,30 @@ def test_events_name_their_cell_its_place_and_their_time_in_order() -> None:
         place = plant.array.positions_m[plant.array.lattice.index(cell)]
         assert event.position_m == tuple(place)
         assert event.parcel == 0
+
+
+_speeds = st.one_of(
+    st.sampled_from([0.0, -0.0, 0.5e-6, -1e-6, 1e-6, 2e-6, np.inf, -np.inf, np.nan]), st.floats(-3e-6, 3e-6)
+)
+
+
+@given(
+    speeds=arrays(np.float64, (2, 3, 3), elements=_speeds),
+    resting=arrays(np.bool_, 3),
+    radius=arrays(np.float64, 3, elements=st.floats(0.0, 3.0)),
+    which=st.sets(st.sampled_from(range(3))),
+    span_ns=st.sampled_from([0, 1, TICK_NS, 3 * SECOND]),
+)
+def test_changes_of_rest_are_looked_for_in_exactly_the_ticks_that_have_some(
+    speeds: NDArray[np.float64],
+    resting: NDArray[np.bool_],
+    radius: NDArray[np.float64],
+    which: set[int],
+    span_ns: int,
+) -> None:
+    detector = RestDetector(radius, 1e-6)
+    detector._resting[:] = resting
+    states, watched = np.concatenate([np.zeros_like(speeds), speeds], axis=2), np.array(sorted(which), int)
+    found = detector.any_changes(states[0], states[1], span_ns, watched)
+    with np.errstate(invalid="ignore"):
+        assert found == bool(detector.changes(states, np.array([0, span_ns]), watched))

@@ -82,20 +82,28 @@ def cover(surface, parcels, which, sensors, reach, bits):
 
 
 @kernel
-def any_slow(state, radius, resting, which, limit):
-    """Whether some of the parcels ``which`` are slow, or have been at rest so far.
+def any_rest_change(before, after, span, radius, resting, which, limit):
+    """Whether some of the parcels ``which`` come to rest, or begin to move, with a step from one state to another.
 
     Args:
-        state: ``(m, 6)``.
+        before: ``(m, 6)``.
+        after: ``(m, 6)``.
+        span: s between the states.
         radius: ``(m,)`` farthest corner of each from its centre of mass, m.
         resting: ``(m,)`` bool: which have been at rest so far.
         which: ``(b,)`` their numbers.
-        limit: m/s, of every corner.
+        limit: m/s, of every corner; and its most gain in speed a second.
     """
     for n in range(which.shape[0]):
         i = which[n]
-        turning = abs(state[i, at.OMEGA]) * radius[i]
-        if resting[i] or max(abs(state[i, at.UX]), abs(state[i, at.UY]), turning) < limit:
+        still = True
+        for axis in range(at.UX, at.OMEGA + 1):
+            arm = radius[i] if axis == at.OMEGA else 1.0
+            first, last = before[i, axis] * arm, after[i, axis] * arm
+            # a number that is not finite is not small
+            small = abs(first) < limit and abs(last) < limit and abs(last - first) < limit * span
+            still = still and small
+        if still != resting[i]:
             return True
     return False
 

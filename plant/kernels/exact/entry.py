@@ -14,4 +14,6 @@ with disk_cached(__name__):
         block.advance_segmented.py_func
     )
     cover = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(footprint.cover.py_func)
-    any_slow = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(footprint.any_slow.py_func)
+    any_rest_change = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(
+        footprint.any_rest_change.py_func
+    )
