@@ -9,8 +9,10 @@ from typing import Any, TypedDict
 
 FILE_NAME = "recording.mcap"
 PROFILE = "mdms"
-FORMAT = 2
+FORMAT = 3
 """Increased when a reader of the older format could no longer read the newer."""
+READABLE = (2, FORMAT)
+"""Formats that the loader reads. Up to 2, wheel speeds that are the drives before were written out."""
 
 TICK = "/tick"
 PARCELS = "/parcels"
@@ -186,7 +188,10 @@ def binary_schemas(header: Header) -> dict[str, dict[str, Any]]:
                 "commands of the wheels along x and y from this instant on: m/s, or volts with motors",
             ),
             "wheel_speeds": _ndarray(
-                "<f8", [cells, 2], "surface speeds of the wheels along x and y at this instant, m/s"
+                "<f8",
+                [cells, 2],
+                "surface speeds of the wheels along x and y at this instant, m/s; null: equal to the drives of the "
+                "message before",
             ),
             "parcels": _ndarray("<f8", [parcels, 6], "x, y (m), angle (rad), and their rates per second"),
             "end": {"const": True, "description": "in the last message, which has no drives"},

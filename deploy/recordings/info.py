@@ -146,14 +146,14 @@ def _info(path: Path) -> RecordingInfo:
     import msgpack  # pyright: ignore[reportMissingTypeStubs]
 
     from deploy.recordings.checks import check_end, check_faults
-    from deploy.recordings.format import FORMAT, PROFILE
+    from deploy.recordings.format import PROFILE
 
-    tally, declared, header = _Tally(), Declarations(), cast("Header | None", None)
+    tally, declared, header, version = _Tally(), Declarations(), cast("Header | None", None), 0
     for record in scan(path, PROFILE, declared):
         if isinstance(record, Message):
             tally.add(record)
-        else:
-            header = decode_header(path, record) or header
+        elif (found := decode_header(path, record)) is not None:
+            header, version = found, int(record.values["format"])
     if header is None:
         raise InputError(f"can't read the recording {path}: it holds no complete header")
     end = None if tally.end is None else check_end(tally.end)
@@ -161,7 +161,7 @@ def _info(path: Path) -> RecordingInfo:
     return RecordingInfo(
         path=path,
         size_bytes=path.stat().st_size,
-        format=FORMAT,
+        format=version,
         run=header["run"],
         title=header["title"],
         scene=header["scene_name"],

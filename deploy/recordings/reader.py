@@ -19,10 +19,10 @@ from deploy.recordings.format import (
     EVENTS,
     FAULTS,
     FILE_NAME,
-    FORMAT,
     HEADER_RECORD,
     MESSAGES,
     PROFILE,
+    READABLE,
     REGISTERS,
     TICK,
     TRACE,
@@ -441,9 +441,10 @@ def decode_header(path: Path, record: Note) -> Header | None:
     if record.name != HEADER_RECORD:
         return None
     values = record.values
-    if values.get("format") != str(FORMAT):
+    if values.get("format") not in map(str, READABLE):
         raise InputError(
-            f"{path} is a recording of format {values.get('format')}: this version reads format {FORMAT}"
+            f"{path} is a recording of format {values.get('format')}: this version reads formats "
+            f"{' and '.join(map(str, READABLE))}"
         )
     from deploy.recordings.checks import check_header
 
@@ -459,7 +460,7 @@ _FIELDS = ("presence", "drives", "wheel_speeds", "parcels")
 
 @final
 class _Rows:
-    """Messages of ``/tick``; an absent field keeps its previous value."""
+    """Messages of ``/tick``: an absent field keeps its previous value, and no wheel speeds are the drives before."""
 
     def __init__(self) -> None:
         self._ticks: list[int] = []
@@ -472,6 +473,8 @@ class _Rows:
             raise TypeError("a tick must be an integer")
         self._ticks.append(message["tick"])
         self._times.append(time_ns)
+        if "wheel_speeds" in message and message["wheel_speeds"] is None:
+            message["wheel_speeds"] = self._written["drives"][-1]
         for name in _FIELDS:
             written = self._written[name]
             if name in message:

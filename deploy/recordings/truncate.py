@@ -39,7 +39,10 @@ def copy_prefix(path: Path, file: McapFile, counts: Mapping[str, int]) -> dict[s
                 left[record.topic] -= 1
                 file.add(file.channels[record.topic], record.time_ns, record.data)
                 if record.topic == TICK:
-                    last |= {k: v for k, v in unpack(record.data).items() if isinstance(v, bytes)}
+                    fields = unpack(record.data)
+                    if "drives" in last and fields.get("wheel_speeds", b"") is None:
+                        last["wheel_speeds"] = last["drives"]
+                    last |= {name: value for name, value in fields.items() if isinstance(value, bytes)}
     except FileNotFoundError:
         raise InputError(f"there is no {path.name} in {path.parent} to resume") from None
     missing = {topic: number for topic, number in left.items() if number > 0}

@@ -150,11 +150,11 @@ class Recorder:
         """
         message: dict[str, Any] = {"tick": tick}
         self._add_changed(message, "presence", np.packbits(presence, bitorder="little").tobytes())
+        self._add_wheel_speeds(message, wheel_speeds.astype("<f8", copy=False).tobytes())
         if drives is None:
             message["end"] = True
         else:
             self._add_changed(message, "drives", drives.astype("<f8", copy=False).tobytes())
-        self._add_changed(message, "wheel_speeds", wheel_speeds.astype("<f8", copy=False).tobytes())
         self._add_changed(message, "parcels", parcels.astype("<f8", copy=False).tobytes())
         self._ticks = tick
         self._time_ns = time_ns
@@ -276,6 +276,14 @@ class Recorder:
         """Add a field to a message unless its value is unchanged; the loader repeats the previous value."""
         if self._last.get(name) != data:
             self._last[name] = message[name] = data
+
+    def _add_wheel_speeds(self, message: dict[str, Any], data: bytes) -> None:
+        """Add wheel speeds; of wheels that follow their drives at once, the drives recorded before stand for them."""
+        before = self._last.get("drives")
+        if data == before and data != self._last.get("wheel_speeds"):
+            self._last["wheel_speeds"], message["wheel_speeds"] = before, None
+        else:
+            self._add_changed(message, "wheel_speeds", data)
 
     def _put_json(self, topic: str, record: Mapping[str, Any]) -> None:
         self._put(topic, round(record["time_s"] * 1e9), json_bytes(record))

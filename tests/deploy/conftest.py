@@ -37,6 +37,8 @@ class MadeUpRun:
     sensors: int = 2
     parcels: int = 1
     wheels_change: bool = False
+    wheels_follow: bool = False
+    """Whether wheels run at the speed of the drives before, once there were any."""
     events: list[dict[str, Any]] = field(default_factory=list)
     faults: list[dict[str, Any]] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
@@ -49,6 +51,8 @@ class MadeUpRun:
         steps = instants if self.wheels_change else 1
         self.drives = np.resize(draw.standard_normal((steps, n, 2)), (instants, n, 2))
         self.wheel_speeds = np.resize(draw.standard_normal((steps, n, 2)), (instants, n, 2))
+        if self.wheels_follow:
+            self.wheel_speeds[1:] = self.drives[:-1]
         self.states = np.cumsum(draw.standard_normal((instants, self.parcels, 6)) * 0.02, axis=0)
 
     @property

@@ -16,6 +16,7 @@ from mcap.reader import make_reader
 from deploy.errors import DeployError, InputError
 from deploy.recordings.digest import Digest
 from deploy.recordings.format import PARCELS, Header
+from deploy.recordings.info import recording_info
 from deploy.recordings.reader import Recording, load
 from deploy.recordings.writer import Recorder
 
@@ -45,6 +46,41 @@ def test_all_that_was_recorded_comes_back_bit_for_bit(
     assert recording.status == "ok"
     assert recording.complete
     assert recording.digest == "ab" * 32
+
+
+@pytest.mark.parametrize("wheels_change", [False, True])
+def test_wheels_at_the_speed_of_the_drives_before_take_no_room(
+    tmp_path: Path, made_up_run: Make, wheels_change: bool
+) -> None:
+    size: list[int] = []
+    for follow in (False, True):
+        run = made_up_run(ticks=40, rows=20, wheels_change=wheels_change, wheels_follow=follow)
+        path = run.record(tmp_path / str(follow))
+        assert_holds(load(path), run, run.ticks + 1)
+        size.append(path.stat().st_size)
+    values = run.wheel_speeds[0].nbytes
+    assert size[0] - size[1] > (0.9 * 39 * values if wheels_change else -0.1 * values)
+
+
+def test_a_recording_of_the_format_before_is_read(
+    tmp_path: Path, made_up_run: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("deploy.recordings.mcap.FORMAT", 2)
+    run = made_up_run(wheels_change=True)
+    path = run.record(tmp_path)
+    assert_holds(load(path), run, run.ticks + 1)
+    assert recording_info(path).format == 2
+
+
+@pytest.mark.parametrize("version", [1, 4])
+def test_a_recording_of_another_format_is_refused_with_both_numbers(
+    tmp_path: Path, made_up_run: Make, monkeypatch: pytest.MonkeyPatch, version: int
+) -> None:
+    monkeypatch.setattr("deploy.recordings.mcap.FORMAT", version)
+    with pytest.raises(
+        InputError, match=f"a recording of format {version}: this version reads formats 2 and 3"
+    ):
+        load(made_up_run().record(tmp_path))
 
 
 def test_the_end_repeats_the_last_drives(tmp_path: Path, made_up_run: Make) -> None:

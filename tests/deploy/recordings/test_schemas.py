@@ -42,12 +42,13 @@ def array(described: dict[str, Any], data: bytes) -> np.ndarray:
     return np.frombuffer(data, form["dtype"]).reshape(form["shape"])
 
 
-@pytest.fixture
-def run(made_up_run: Make) -> Any:
+@pytest.fixture(params=[False, True], ids=["wheels", "wheels_follow"])
+def run(made_up_run: Make, request: pytest.FixtureRequest) -> Any:
     return made_up_run(
         parcels=2,
         sensors=3,
         wheels_change=True,
+        wheels_follow=request.param,
         events=[{"time_s": 0.0, "kind": "tipped", "parcel": 1, "cells": [], "position_m": [0.0, 1.0]}],
         faults=[{"time_s": 0.0, "kind": "crash", "cell": [0, 0]}],
     )
@@ -74,6 +75,9 @@ def test_every_message_of_every_channel_is_decoded_by_the_file_s_own_schemas(
         if topic == "/tick":
             binaries = {name: form for name, form in described["properties"].items() if "ndarray" in form}
             assert set(binaries) == set(rows)
+            if "wheel_speeds" in content and content["wheel_speeds"] is None:  # as its description says
+                last["wheel_speeds"] = last["drives"]
+                del content["wheel_speeds"]
             last |= {name: array(form, content[name]) for name, form in binaries.items() if name in content}
             for name, value in last.items():
                 rows[name].append(value)

@@ -18,8 +18,8 @@ HEADER = MadeUpRun().header
 PREFIX = {TICK: 3, PARCELS: 3, EVENTS: 1}
 
 
-def _ticks(recorder: Recorder, first: int, last: int) -> None:
-    """Ticks in each of which only what it must be is another."""
+def _ticks(recorder: Recorder, first: int, last: int, *, follow: bool = False) -> None:
+    """Ticks in each of which only what it must be is another; with wheels that stand, or follow the drives."""
     cells, sensors = len(HEADER["cells"]), len(HEADER["sensors_m"])
     for tick in range(first, last):
         presence = np.full((cells, sensors), tick >= 2)
@@ -29,7 +29,7 @@ def _ticks(recorder: Recorder, first: int, last: int) -> None:
             tick * 1_000,
             presence,
             drives,
-            np.zeros((cells, 2)),
+            np.full((cells, 2), float(max(tick - 1, 0) // 3) if follow else 0.0),
             np.full((len(HEADER["footprints_m"]), 6), 0.5 * tick),
         )
         recorder.event({"time_s": tick * 1e-6, "kind": f"event {tick}"})
@@ -73,6 +73,18 @@ def test_it_goes_on_without_a_tick_missing_or_doubled(tmp_path: Path, torn: bool
         recorder.close("ok", "11")
     assert _loaded(tmp_path / "other") == _loaded(tmp_path / "whole")
     assert load(tmp_path / "other").status == "ok"
+
+
+def test_wheels_that_stop_following_their_drives_where_it_goes_on_do_so_there(tmp_path: Path) -> None:
+    for name in ("whole", "other"):
+        with Recorder(tmp_path / name, HEADER) as recorder:
+            _ticks(recorder, 0, 5, follow=True)
+            if name == "whole":
+                _ticks(recorder, 5, 7)
+    with Recorder(tmp_path / "other", HEADER, continued_from={TICK: 5, PARCELS: 5, EVENTS: 5}) as recorder:
+        _ticks(recorder, 5, 7)
+    assert _loaded(tmp_path / "other") == _loaded(tmp_path / "whole")
+    assert load(tmp_path / "whole").wheel_speeds[:, 0, 0].tolist() == [0, 0, 0, 0, 1, 0, 0]
 
 
 def test_a_recording_that_lacks_the_prefix_is_refused_and_stays(tmp_path: Path) -> None:
