@@ -447,7 +447,7 @@ class Plant:
 
 
 def _copied(drives: Floats) -> Floats:
-    """Return drives that the wheels may keep: whoever gave them may change them, or have them read-only."""
+    """Return a copy of drives for the wheels to keep: a caller's array may change, or be read-only."""
     return np.array(drives, dtype=np.float64, order="C")
 
 

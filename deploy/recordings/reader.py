@@ -441,7 +441,7 @@ def decode_header(path: Path, record: Note) -> Header | None:
     if record.name != HEADER_RECORD:
         return None
     values = record.values
-    if values.get("format") not in map(str, READABLE):
+    if values.get("format") not in [str(version) for version in READABLE]:
         raise InputError(
             f"{path} is a recording of format {values.get('format')}: this version reads formats "
             f"{' and '.join(map(str, READABLE))}"

@@ -280,7 +280,7 @@ class Recorder:
     def _add_wheel_speeds(self, message: dict[str, Any], data: bytes) -> None:
         """Add wheel speeds; of wheels that follow their drives at once, the drives recorded before stand for them."""
         before = self._last.get("drives")
-        if data == before and data != self._last.get("wheel_speeds"):
+        if before is not None and data == before and data != self._last.get("wheel_speeds"):
             self._last["wheel_speeds"], message["wheel_speeds"] = before, None
         else:
             self._add_changed(message, "wheel_speeds", data)
