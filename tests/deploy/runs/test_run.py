@@ -96,10 +96,10 @@ def test_motion_that_cannot_be_followed_is_unstable_and_exits_with_3(
 ) -> None:
     advance = Plant.advance
 
-    def runs_away(plant: Plant, drives: Any, until_ns: int) -> Any:
+    def runs_away(plant: Plant, drives: Any, until_ns: int, **how: Any) -> Any:
         if plant.time_ns >= 40_960_000:
             raise PlantUnstable("parcel 0 at t = 0.041 s: the motion is no longer finite")
-        return advance(plant, drives, until_ns)
+        return advance(plant, drives, until_ns, **how)
 
     monkeypatch.setattr(Plant, "advance", runs_away)
     summary = _run(_scene(), tmp_path).summary
@@ -187,7 +187,7 @@ def test_a_run_that_goes_on_can_be_plotted_and_nothing_else_may_write_there(
 def test_an_unforeseen_error_still_ends_everything_and_closes_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(plant: Plant, drives: Any, until_ns: int) -> Any:
+    def broken(plant: Plant, drives: Any, until_ns: int, **how: Any) -> Any:
         raise ZeroDivisionError("a bug")
 
     monkeypatch.setattr(Plant, "advance", broken)
