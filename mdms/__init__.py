@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from deploy.live.frame import RunFrame
     from deploy.recordings.exports.registry import export_recording
     from deploy.recordings.info import RecordingInfo, recording_info
-    from deploy.recordings.reader import CellTrace, ParcelTrace, Recording
     from deploy.recordings.reader import load as load_recording
+    from deploy.recordings.recording import CellTrace, ParcelTrace, Recording
     from deploy.runs.backends import CellsBackend, InProcess, Workers
     from deploy.runs.checking import InvariantBroken
     from deploy.runs.result import RunResult
@@ -127,7 +127,8 @@ _MODULES: Final = {
     "deploy.live.frame": ("RunFrame",),
     "deploy.recordings.exports.registry": ("export_recording",),
     "deploy.recordings.info": ("RecordingInfo", "recording_info"),
-    "deploy.recordings.reader": ("CellTrace", "ParcelTrace", "Recording", "load_recording=load"),
+    "deploy.recordings.reader": ("load_recording=load",),
+    "deploy.recordings.recording": ("CellTrace", "ParcelTrace", "Recording"),
     "deploy.runs.backends": ("CellsBackend", "InProcess", "Workers"),
     "deploy.runs.checking": ("InvariantBroken",),
     "deploy.runs.result": ("RunResult",),

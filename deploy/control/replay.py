@@ -14,7 +14,7 @@ from deploy.faults.registry import Fault
 
 if TYPE_CHECKING:
     from bus.fault import FaultInstance, FaultSpec
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
     from deploy.scenes.scene import Scene
 
 LOSS: Final = "loss"

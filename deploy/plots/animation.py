@@ -38,7 +38,7 @@ from deploy.util.files import atomic_write
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
 
 FORMATS: Final = ("mp4", "gif")
 FRAMES_HZ: Final = 20

@@ -11,7 +11,7 @@ from deploy.errors import InputError
 from deploy.plots.spacetime import chosen_register
 
 if TYPE_CHECKING:
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
 
 Floats = NDArray[np.float64]
 

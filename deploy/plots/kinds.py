@@ -19,7 +19,7 @@ from deploy.plots.theme import write_picture
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
 
 _OF_A_RUN: Final[Mapping[str, Callable[[Recording], Figure]]] = {
     "time": time_figure,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
 
 
 QUANTITIES = ("x (m)", "y (m)", "θ (rad)")

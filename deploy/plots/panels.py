@@ -18,7 +18,7 @@ from deploy.util.colours import colour
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
     from deploy.recordings.trace import RunTrace
 
 Floats = NDArray[np.float64]

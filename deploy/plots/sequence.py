@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from deploy.recordings.message_trace import TracedMessage
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
 
 Cell = tuple[int, int]
 TICKS: Final = 12

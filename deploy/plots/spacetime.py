@@ -18,7 +18,7 @@ from deploy.util.cell_ranges import select_cells
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
 
 _LABELLED: Final = 40
 """Most cells whose names are written along the axis."""

@@ -14,7 +14,7 @@ from deploy.scenes.scene import Scene
 
 if TYPE_CHECKING:
     from deploy.protocol_report.report import ProtocolReport
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
 
 
 def report_from_recording(run: Recording) -> tuple[Reporter, ProtocolReport]:

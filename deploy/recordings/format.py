@@ -1,6 +1,6 @@
 """Format of a recording: topics, header and messages.
 
-Described in ``docs/recording.md``. The writer is ``writer.py``, the loader ``reader.py``.
+Described in ``docs/recording.md``. The writer is ``writer.py``, the loader ``reader.py``, its result ``recording.py``.
 """
 
 from __future__ import annotations

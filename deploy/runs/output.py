@@ -22,7 +22,7 @@ from deploy.util.files import versions
 from deploy.util.signals import Interrupted, Interruption
 
 if TYPE_CHECKING:
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
     from deploy.recordings.trace import RunTrace
     from deploy.scenes.scene import Scene
     from plant.array import CellArray

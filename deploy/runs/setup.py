@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cell_firmware.firmware import Cells
     from deploy.checkpoints.checkpoint import Checkpoint
     from deploy.protocol_report.reporter import Reporter
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
     from deploy.scenes.scene import Scene
     from deploy.workers.plan import Plan, RunOptions
     from plant.effects.camera.camera import Camera

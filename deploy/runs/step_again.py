@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
     from deploy.scenes.scene import Scene
 
 

@@ -15,7 +15,7 @@ from deploy.recordings.trace import mask_absent
 from deploy.view.source import Floats, Instant, Ints, RunState
 
 if TYPE_CHECKING:
-    from deploy.recordings.reader import Recording
+    from deploy.recordings.recording import Recording
 
 
 @final

@@ -11,7 +11,8 @@ import numpy as np
 from deploy.errors import InputError
 from deploy.recordings.format import CONTROL, END, EVENTS, FAULTS, REGISTERS, TICK, Header, binary_schemas
 from deploy.recordings.mcap import McapFile
-from deploy.recordings.reader import Recording, load
+from deploy.recordings.reader import load
+from deploy.recordings.recording import Recording
 from deploy.recordings.writer import Recorder
 from tests.fuzz.mutator import JSON, MESSAGEPACK, Mutator
 

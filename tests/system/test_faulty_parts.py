@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.recordings.reader import Recording, load
+from deploy.recordings.reader import load
+from deploy.recordings.recording import Recording
 from deploy.runs.run import run
 from deploy.runs.summary import Summary
 from deploy.scenes.files import load_scene

@@ -16,7 +16,8 @@ from deploy.plots.sequence import sequence_figure
 from deploy.plots.spacetime import spacetime_figure
 from deploy.recordings import run_log
 from deploy.recordings.message_trace import TracedMessage
-from deploy.recordings.reader import Recording, load
+from deploy.recordings.reader import load
+from deploy.recordings.recording import Recording
 from deploy.runs.run import Outcome, run
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override

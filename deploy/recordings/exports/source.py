@@ -1,4 +1,4 @@
-"""Part of ``deploy.recordings.reader.Recording`` that exports need; avoids a circular import."""
+"""Part of ``deploy.recordings.recording.Recording`` that exports need; avoids a circular import."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Changing(Protocol):
 
 
 class RecordingSource(Protocol):
-    """A recording in memory; see ``deploy.recordings.reader.Recording``."""
+    """A recording in memory; see ``deploy.recordings.recording.Recording``."""
 
     @property
     def path(self) -> Path: ...  # noqa: D102

@@ -21,7 +21,8 @@ from deploy.plots.animation import _AnimatedMap, draw_animation
 from deploy.plots.arrows import round_below
 from deploy.plots.cell_values import RegisterValues, WheelSpeedValues
 from deploy.plots.kinds import KINDS, OF_CELLS, PlotSelection, draw_kind
-from deploy.recordings.reader import Recording, load
+from deploy.recordings.reader import load
+from deploy.recordings.recording import Recording
 from deploy.runs.run import run
 from deploy.scenes.files import load_scene
 from deploy.scenes.overrides import Override

@@ -23,7 +23,8 @@ from deploy.errors import InputError
 from deploy.plots.kinds import draw_kind
 from deploy.recordings.exports.registry import EXPORTS, export_recording
 from deploy.recordings.format import PARCEL_NUMBERS
-from deploy.recordings.reader import Recording, load
+from deploy.recordings.reader import load
+from deploy.recordings.recording import Recording
 from deploy.recordings.writer import Recorder
 from deploy.runs.output_folder import remove_results
 

@@ -17,7 +17,8 @@ from deploy.errors import DeployError, InputError
 from deploy.recordings.digest import Digest
 from deploy.recordings.format import PARCELS, Header
 from deploy.recordings.info import recording_info
-from deploy.recordings.reader import Recording, load
+from deploy.recordings.reader import load
+from deploy.recordings.recording import Recording
 from deploy.recordings.writer import Recorder
 
 Make = Callable[..., Any]

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from deploy.cli import main
-from deploy.recordings.reader import Recording, load
+from deploy.recordings.reader import load
+from deploy.recordings.recording import Recording
 from tests.deploy.view.browser import chromium
 
 if TYPE_CHECKING:

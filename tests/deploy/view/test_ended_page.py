@@ -11,7 +11,7 @@ import pytest
 
 from deploy.errors import DeployError
 from deploy.live.frame import RunFrame
-from deploy.recordings.reader import Recording
+from deploy.recordings.recording import Recording
 from deploy.view.live import LiveSource
 from tests.deploy.view.browser import opened, served
 

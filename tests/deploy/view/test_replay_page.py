@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from deploy.recordings.reader import Recording
+from deploy.recordings.recording import Recording
 from deploy.view.forces import WheelForces
 from deploy.view.replay import ReplaySource
 from tests.deploy.view.browser import Watched, opened, served
