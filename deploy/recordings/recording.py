@@ -1,4 +1,4 @@
-"""A recording in memory: its arrays, and what is computed from them."""
+"""Recordings in memory: arrays of a run, and quantities computed from these."""
 
 from __future__ import annotations
 
