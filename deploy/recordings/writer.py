@@ -298,7 +298,8 @@ class Recorder:
         self._queued += len(data)
         backlog = self._queued - self._written
         if backlog > CHUNK_BYTES:
-            self._wake.set()
+            if not self._wake.is_set():  # the thread clears it before it looks at the queue
+                self._wake.set()
             if backlog > BACKLOG_BYTES:
                 with self._progress:
                     self._progress.wait_for(
