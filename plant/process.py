@@ -228,6 +228,8 @@ class PlantProcess:
         until_ns = min(start_ns + self._clock.tick_ns, self._clock.duration_ns)
         before, wheel_speed = self._state, plant.wheel_speed
         self._sense, events = self._advance(tick, drives, until_ns)
+        acted = self._drives.view()
+        acted.setflags(write=False)  # the wheels go on by this array
         self.tick, self.time_ns, self._state = tick + 1, until_ns, plant.state
         self._over = TickRecord(
             tick,
@@ -236,7 +238,7 @@ class PlantProcess:
             sense,
             wheel_speed,
             before,
-            self._drives,
+            acted,
             self._state,
             events,
             died,

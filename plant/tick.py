@@ -34,7 +34,7 @@ class TickRecord(NamedTuple):
         sense: What the cells sensed at its start.
         wheel_speed: ``(n, 2)`` m/s at its start.
         before: ``(m, 6)`` parcel states at its start.
-        drives: ``(n, 2)`` that acted during it, a dead cell's as the stall policy has it.
+        drives: ``(n, 2)`` that acted during it, a dead cell's as the stall policy has it; read-only.
         after: ``(m, 6)`` parcel states at its end.
         events: Of the plant, during it.
         died: Indices of the cells whose scheduled death for good was at its start.

@@ -48,9 +48,9 @@ publishes as many values as a cell sends, and reads them a step later; a tick is
 """
 PACKED = """\
 Packed runs. The plant is this process, with workers beside it as mdms run has them. Up to 10,000 cells a run is
-recorded and has its digest; larger ones have neither. The wire format is the default of mdms run. heat: wheel speeds
-spread from two held columns, ideal wheels, one parcel. 50 parcels: the parcels of large on cells with motors and
-speed loops, all moving.
+recorded and has its digest, but where its name says otherwise; larger ones have neither. The wire format is the
+default of mdms run. heat: wheel speeds spread from two held columns, ideal wheels, one parcel. 50 parcels: the parcels
+of large on cells with motors and speed loops, all moving.
 """
 BARE_SIDE = """\
 The bare side is plain Zenoh code (FifoChannel, recv, put) with as many processes, which exchanges payloads of the same

@@ -93,7 +93,10 @@ MOVING = (("effects.motors", {}), *_diffusion(100, 10))
 
 
 def _packed() -> Iterator[Case]:
-    """Yield packed cases: each size with one worker and with two, and what is asked of 10,000 cells."""
+    """Yield packed cases: each size with one worker and with two, and what is asked of 10,000 cells.
+
+    10,000 cells without recording and digest, too: what these take of the largest runs that have them.
+    """
     sizes = ((25, 40, True, 0.6, 2500.0), (100, 100, True, 0.6, None), (250, 400, False, 0.4, 100.0))
     for rows, columns, recorded, must, goal in (*sizes, (1000, 1000, False, 0.4, 8.0)):
         for workers in (1, 2):
@@ -101,6 +104,8 @@ def _packed() -> Iterator[Case]:
             changes = _diffusion(columns, columns - 1)
             form: WireFormat = "packed" if workers == 1 else "relayed"  # the default of mdms run
             yield Case(title, "heat", rows, columns, workers, recorded, changes, form, must, goal)
+            if rows == 100:
+                yield Case(f"{title}, not recorded", "heat", rows, columns, workers, False, changes, form)
     for workers in (1, 2):
         title = f"50 parcels, motors, 10,000 cells, {workers} worker{'s' * (workers > 1)}"
         form = "packed" if workers == 1 else "relayed"

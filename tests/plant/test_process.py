@@ -197,6 +197,15 @@ def test_every_tick_is_reported_once_and_before_the_next_is_awaited(make: Make) 
     assert plant.log.index(("report", 1)) < plant.log.index(("advance", 30, [[3.0, 3.0]] * 3))
 
 
+def test_an_observer_can_not_change_the_drives_by_which_the_wheels_go_on(make: Make) -> None:
+    def observe(record: TickRecord) -> None:
+        record.drives[0] = 7.0
+
+    process, _, _ = make(observer=observe)
+    with pytest.raises(ValueError, match="read-only"):
+        process.run()
+
+
 def test_what_the_observer_raises_ends_the_run_between_two_ticks(make: Make) -> None:
     class Enough(Exception):
         pass

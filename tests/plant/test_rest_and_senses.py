@@ -266,6 +266,25 @@ def test_events_name_their_cell_its_place_and_their_time_in_order() -> None:
         assert event.parcel == 0
 
 
+@pytest.mark.parametrize("sampled", [False, True])
+def test_drives_that_are_changed_afterwards_or_read_only_change_nothing(sampled: bool) -> None:
+    plant, drives = study(), np.full((400, 2), 0.1)
+
+    def move(until_ns: int) -> None:
+        if sampled:
+            plant.trajectory(drives, until_ns, TICK_NS)
+        else:
+            plant.advance(drives, until_ns)
+
+    move(TICK_NS)
+    drives[:] = np.nan
+    np.testing.assert_array_equal(plant.wheel_speed, np.full((400, 2), 0.1))
+    drives = np.full((400, 2), 0.2)
+    drives.setflags(write=False)
+    move(2 * TICK_NS)
+    np.testing.assert_array_equal(plant.wheel_speed, drives)
+
+
 _speeds = st.one_of(
     st.sampled_from([0.0, -0.0, 0.5e-6, -1e-6, 1e-6, 2e-6, np.inf, -np.inf, np.nan]), st.floats(-3e-6, 3e-6)
 )
