@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from deploy.errors import InputError
 from deploy.faults.fault_state import DEAD, FaultState
 from deploy.plots.arrows import ArrowGrid, draw_arrows
-from deploy.plots.cell_values import CellValues
+from deploy.plots.cell_values import CellValues, fastest_m_s
 from deploy.plots.fields import cell_colours
 from deploy.plots.map_view import (
     ARROW,
@@ -172,13 +172,18 @@ class _AnimatedMap:
     def _draw_arrows(self, axes: Any) -> Any:
         """Arrows of the wheels, whose scale is that of the fastest wheel in all frames; None if no wheel turns."""
         held = self._recording.held_wheel_speeds
-        speeds = held.values[np.unique(held.index[self.rows])][:, self._shown]
-        size = np.hypot(speeds[..., 0], speeds[..., 1])
-        fastest = float(size[np.isfinite(size)].max(initial=0.0))
+        fastest = fastest_m_s(speeds[self._shown] for speeds in held.each(self.rows))
         if fastest == 0.0:
             return None
         shade = ARROW if self._values is None else INK  # seen on colours, too
-        return draw_arrows(axes, self._grid, self._track.positions_m[self._shown], speeds[0], fastest, shade)
+        return draw_arrows(
+            axes,
+            self._grid,
+            self._track.positions_m[self._shown],
+            held.at(int(self.rows[0]))[self._shown],
+            fastest,
+            shade,
+        )
 
     def _draw_numbers(self, axes: Any) -> list[Any]:
         """Numbers of the parcels, where there are several and not too many."""

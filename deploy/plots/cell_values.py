@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
@@ -34,6 +35,19 @@ class CellValues(Protocol):
         ...
 
 
+def fastest_m_s(speeds: Iterable[Floats]) -> float:
+    """Return the greatest finite speed of any cell; 0 if there is none.
+
+    Args:
+        speeds: ``(n, 2)`` m/s, at one instant after another.
+    """
+    fastest = 0.0
+    for one in speeds:
+        size = np.hypot(one[:, 0], one[:, 1])
+        fastest = max(fastest, float(size[np.isfinite(size)].max(initial=0.0)))
+    return fastest
+
+
 @final
 class WheelSpeedValues:
     """Magnitude of the wheels' velocity at each cell, m/s."""
@@ -50,9 +64,7 @@ class WheelSpeedValues:
 
     def limits(self, rows: NDArray[np.int64]) -> tuple[float, float]:
         """Return 0 and the greatest value; see ``CellValues``."""
-        velocity = self._held.values[np.unique(self._held.index[rows])]
-        size = np.hypot(velocity[..., 0], velocity[..., 1])
-        return 0.0, float(size[np.isfinite(size)].max(initial=0.0)) or 1.0
+        return 0.0, fastest_m_s(self._held.each(rows)) or 1.0
 
 
 @final

@@ -13,7 +13,8 @@ from bus.lattice import SIDES
 from deploy.recordings.format import PARCEL_NUMBERS
 
 if TYPE_CHECKING:
-    from deploy.recordings.recording import ChangeEncoded, Recording
+    from deploy.recordings.changes import ChangeEncoded
+    from deploy.recordings.recording import Recording
 
 ABSENT: Final = "absent"
 """Value of a key that a scene does not have."""

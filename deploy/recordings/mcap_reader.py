@@ -29,12 +29,60 @@ _PIECE = 1 << 20
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedChunk:
+    """Records of the file, compressed as they are there.
+
+    Attributes:
+        data: The compressed records.
+        compression: ``lz4``, ``zstd``, or nothing.
+        size: Bytes of the records.
+        checksum: CRC-32 of the records; 0: not known.
+    """
+
+    data: bytes
+    compression: str
+    size: int
+    checksum: int
+
+    def unpack(self) -> bytes:
+        """Return the records, never beyond their declared size; check size and checksum.
+
+        Raises:
+            ValueError: They are not what the chunk says.
+        """
+        if self.compression == "lz4":
+            data = _lz4(self.data, self.size)
+        elif self.compression == "zstd":  # which the tools of the format write; the recorder never does
+            data = _zstd(self.data, self.size)
+        elif self.compression == "":
+            data = self.data
+        else:
+            raise ValueError(f"a chunk's compression is {self.compression!r}")
+        if len(data) != self.size:
+            raise ValueError(f"a chunk holds another number of bytes than {self.size}")
+        if self.checksum != 0 and zlib.crc32(data) != self.checksum:
+            raise ValueError("a chunk is not what its checksum says")
+        return data
+
+
 class Message(NamedTuple):
-    """A message of the file."""
+    """A message of the file.
+
+    Attributes:
+        topic: Topic of its channel.
+        time_ns: When it was logged.
+        data: Its content.
+        chunk: Where it is in the file, ...
+        start: ... and the first byte of its content there, once unpacked.
+    """
 
     topic: str
     time_ns: int
     data: bytes
+    chunk: PackedChunk
+    start: int
 
 
 class Note(NamedTuple):
@@ -75,13 +123,19 @@ def scan(path: Path, profile: str, declared: Declarations | None = None) -> Iter
                 if opcode == Opcode.HEADER:
                     _check_profile(path, content, profile)
                 elif opcode == Opcode.CHUNK:
-                    yield from _messages(_unpack(content), declared)
+                    chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+                    packed = PackedChunk(
+                        chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc
+                    )
+                    yield from _messages(packed, _unpack(packed.unpack()), declared)
                 elif opcode == Opcode.METADATA:
                     yield _note(content)
                 elif opcode == Opcode.DATA_END:
                     return
                 else:
-                    yield from _messages(((opcode, content),), declared)
+                    yield from _messages(
+                        PackedChunk(content, "", len(content), 0), ((opcode, 0, content),), declared
+                    )
             except (ValueError, LookupError, RuntimeError, McapError, struct.error) as error:
                 raise InputError(f"{path} is corrupt: record at byte {offset}: {error}") from error
 
@@ -98,32 +152,13 @@ def _records(stream: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
         offset += _RECORD.size + length
 
 
-def _unpack(content: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and content of each record in a chunk."""
-    data = _decompress(Chunk.read(ReadDataStream(BytesIO(content))))
+def _unpack(data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Yield opcode, first byte of the content and content of each record of an unpacked chunk."""
     offset = 0
     while offset < len(data):
         opcode, length = _RECORD.unpack_from(data, offset)
         offset += _RECORD.size + length
-        yield opcode, data[offset - length : offset]
-
-
-def _decompress(chunk: Chunk) -> bytes:
-    """Decompress a chunk, never beyond its declared size, and check size and checksum."""
-    size, packed = chunk.uncompressed_size, chunk.data
-    if chunk.compression == "lz4":
-        data = _lz4(packed, size)
-    elif chunk.compression == "zstd":  # which the tools of the format write; the recorder never does
-        data = _zstd(packed, size)
-    elif chunk.compression == "":
-        data = packed
-    else:
-        raise ValueError(f"a chunk's compression is {chunk.compression!r}")
-    if len(data) != size:
-        raise ValueError(f"a chunk holds another number of bytes than {size}")
-    if chunk.uncompressed_crc != 0 and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("a chunk is not what its checksum says")
-    return data
+        yield opcode, offset - length, data[offset - length : offset]
 
 
 def _lz4(packed: bytes, size: int) -> bytes:
@@ -146,12 +181,15 @@ def _zstd(packed: bytes, size: int) -> bytes:
     return bytes(data)
 
 
-def _messages(records: Iterable[tuple[int, bytes]], declared: Declarations) -> Iterator[Message]:
-    """Yield the messages among records, and keep what else the records declare."""
-    for opcode, content in records:
+def _messages(
+    chunk: PackedChunk, records: Iterable[tuple[int, int, bytes]], declared: Declarations
+) -> Iterator[Message]:
+    """Yield the messages among a chunk's records, and keep what else the records declare."""
+    for opcode, start, content in records:
         if opcode == Opcode.MESSAGE:
             channel, _, time_ns, _ = _MESSAGE.unpack_from(content)
-            yield Message(declared.channels[channel].topic, time_ns, content[_MESSAGE.size :])
+            topic, data = declared.channels[channel].topic, content[_MESSAGE.size :]
+            yield Message(topic, time_ns, data, chunk, start + _MESSAGE.size)
         elif opcode == Opcode.CHANNEL:
             found = Channel.read(ReadDataStream(BytesIO(content)))
             declared.channels[found.id] = found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast, final
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ from deploy.recordings.format import (
     TRACE,
     Header,
 )
-from deploy.recordings.recording import ChangeEncoded, Recording
+from deploy.recordings.recording import Recording
+from deploy.recordings.rows import TickRows
 
 if TYPE_CHECKING:
     from deploy.recordings.mcap_reader import Note
@@ -78,7 +79,7 @@ def _load(path: Path) -> Recording:
 
     unpack = cast(Callable[[bytes], object], msgpack.unpackb)  # pyright: ignore[reportUnknownMemberType]
     header: Header | None = None
-    rows = _Rows()
+    rows = TickRows()
     shown: list[dict[str, Any]] = []
     sent: list[dict[str, Any]] = []
     traced: list[dict[str, Any]] = []
@@ -86,7 +87,7 @@ def _load(path: Path) -> Recording:
     for record in scan(path, PROFILE):
         if isinstance(record, Message):
             if record.topic == TICK:
-                rows.add(record.time_ns, _map(unpack(record.data)))
+                rows.add(record, _map(unpack(record.data)))
             elif record.topic == REGISTERS:
                 shown.append(_map(unpack(record.data)))
             elif record.topic == MESSAGES:
@@ -162,65 +163,3 @@ def decode_header(path: Path, record: Note) -> Header | None:
     if absent:
         raise InputError(f"{path} is not a recording of mdms: its header has no {', '.join(absent)}")
     return check_header(header)
-
-
-_FIELDS = ("presence", "drives", "wheel_speeds", "parcels")
-
-
-@final
-class _Rows:
-    """Messages of ``/tick``: an absent field keeps its previous value, and no wheel speeds are the drives before."""
-
-    def __init__(self) -> None:
-        self._ticks: list[int] = []
-        self._times: list[int] = []
-        self._written: dict[str, list[bytes]] = {name: [] for name in _FIELDS}
-        self._index: dict[str, list[int]] = {name: [] for name in _FIELDS}
-
-    def add(self, time_ns: int, message: dict[str, Any]) -> None:
-        if type(message["tick"]) is not int:
-            raise TypeError("a tick must be an integer")
-        self._ticks.append(message["tick"])
-        self._times.append(time_ns)
-        if "wheel_speeds" in message and message["wheel_speeds"] is None:
-            message["wheel_speeds"] = self._written["drives"][-1]
-        for name in _FIELDS:
-            written = self._written[name]
-            if name in message:
-                written.append(message[name])
-            self._index[name].append(max(len(written) - 1, 0))
-
-    def arrays(self, header: Header) -> dict[str, Any]:
-        """Return the arguments of ``Recording`` that come from the ticks."""
-        cells, sensors = len(header["cells"]), len(header["sensors_m"])
-        return {
-            "tick": np.array(self._ticks, dtype=np.int64),
-            "time_ns": np.array(self._times, dtype=np.int64),
-            "parcels": self._numbers("parcels", (len(header["footprints_m"]), 6)).all(),
-            "held_presence": self._bits("presence", (cells, sensors)),
-            "held_drives": self._numbers("drives", (cells, 2)),
-            "held_wheel_speeds": self._numbers("wheel_speeds", (cells, 2)),
-        }
-
-    def _numbers(self, name: str, shape: tuple[int, int]) -> ChangeEncoded:
-        width = shape[0] * shape[1]
-        values = np.frombuffer(b"".join(self._joined(name, width * 8)), dtype="<f8")
-        return self._held(name, values.astype(np.float64, copy=False).reshape(-1 if width else 1, *shape))
-
-    def _bits(self, name: str, shape: tuple[int, int]) -> ChangeEncoded:
-        width = shape[0] * shape[1]
-        size = (width + 7) // 8
-        joined = self._joined(name, size)
-        rows = np.frombuffer(b"".join(joined), dtype=np.uint8).reshape(len(joined), size)
-        bits = np.unpackbits(rows, axis=1, count=width, bitorder="little")
-        return self._held(name, bits.astype(np.bool_).reshape(len(joined), *shape))
-
-    def _joined(self, name: str, size: int) -> list[bytes]:
-        """Return the written values of a field; one zero value for drives in a run of no ticks."""
-        written = self._written[name]
-        if any(len(values) != size for values in written):
-            raise ValueError(f"{name} must be {size} bytes")
-        return [bytes(size)] if self._ticks and not written else written
-
-    def _held(self, name: str, values: NDArray[Any]) -> ChangeEncoded:
-        return ChangeEncoded(values, np.array(self._index[name], dtype=np.int64))

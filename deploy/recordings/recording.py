@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import InputError
+from deploy.recordings.changes import ChangeEncoded
 from deploy.recordings.format import Header
 from deploy.recordings.trace import RunTrace, mask_absent
 from deploy.util.formatting import plural
@@ -24,28 +25,6 @@ if TYPE_CHECKING:
     from deploy.recordings.message_trace import TracedMessage
     from deploy.recordings.quantities import RecordedTractions
     from plant.analysis.tractions import ArrayTractions
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class ChangeEncoded:
-    """A field that is written only when it changes: the written values, and an index by instant.
-
-    Attributes:
-        values: Written values, ``(changes, ...)``.
-        index: Row of ``values`` at each instant, ``(T,)`` int64.
-    """
-
-    values: NDArray[Any]
-    index: NDArray[np.int64]
-
-    def at(self, instant: int) -> NDArray[Any]:
-        """Return the value at one instant."""
-        return self.values[self.index[instant]]
-
-    def all(self) -> NDArray[Any]:
-        """Return the values at every instant, ``(T, ...)``."""
-        return self.values[self.index]
 
 
 @final
@@ -179,9 +158,9 @@ class Recording:
         registers = {name: array[:, index] for name, array in self.registers.items()}
         return CellTrace(
             self.time_s,
-            self.presence[:, index],
-            self.drives[:, index],
-            self.wheel_speeds[:, index],
+            self.held_presence.of(index),
+            self.held_drives.of(index),
+            self.held_wheel_speeds.of(index),
             self.register_tick,
             registers,
         )

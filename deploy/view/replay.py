@@ -63,8 +63,7 @@ class ReplaySource:
 
     def speeds_of(self, cell: int, indices: Ints) -> Floats:
         """Return the wheel speeds of a cell at some instants, ``(k, 2)``."""
-        held = self._recording.held_wheel_speeds
-        return held.values[held.index[indices], cell]
+        return self._recording.held_wheel_speeds.of(cell, indices)
 
     def register_names(self) -> Sequence[str]:
         """Return the names of the recorded registers."""
