@@ -61,6 +61,7 @@ class Hardware:
         parts: The same memory by part and name, as the general controller has it.
         clocks, watches, wheels, cells, meters: ``(n,)`` records; none of a part that the boards don't have.
         waiting, going: ``(n, 4, size)``.
+        there_ns: ``(n, slots, 4)``, when what ``there`` has arrives.
         there: ``(n, slots, 4, size)``.
         uarts: Serial lines byte by byte; None without. The other arrays of lines have nothing then.
     """
@@ -73,6 +74,7 @@ class Hardware:
     meters: NDArray[Any]
     waiting: Bytes
     going: Bytes
+    there_ns: NDArray[np.int64]
     there: Bytes
     uarts: LinkMemory | None
 
@@ -206,7 +208,7 @@ class CompiledController(Controller):
         received, message = self._lines_empty(n, self._message)
         running, resets = kernels.begin(
             now.tick, int(now.at_ns), boards, links, hardware.clocks, hardware.watches, hardware.cells,
-            hardware.waiting, hardware.there, *_given(inputs.inbox and inputs.inbox.received, inputs.inbox, n),
+            hardware.waiting, hardware.there_ns, hardware.there, *_given(inputs.inbox and inputs.inbox.received, inputs.inbox, n),
             at_ns, runs, reset, received, message_bytes(message),
         )  # fmt: skip
         if resets:
@@ -304,10 +306,11 @@ class CompiledController(Controller):
                 links[name] = address
             parts[LINKS] = dict(uarts.parts)
         cells = records(LINKS, LINE) if uarts is None else np.zeros(0, dtype=LINE)
+        there_ns = np.zeros((n, self._slots, 4), dtype=np.int64)
         there = np.zeros((n, self._slots, 4), dtype=self._line or np.uint8)
         for slot in range(self._slots):
             at_ns, message = f"there_{slot}_ns", f"message_{slot}"
-            parts[LINKS][at_ns], parts[LINKS][message] = cells["there_ns"][:, slot], there[:, slot]
+            parts[LINKS][at_ns], parts[LINKS][message] = there_ns[:, slot], there[:, slot]
             for array in (at_ns, message):
                 parts[LINKS][array][...] = state.parts[LINKS][array]
         meters = records(METER, METER_RECORD)
@@ -323,6 +326,7 @@ class CompiledController(Controller):
             meters,
             mailbox if LINKS in parts and "message" in parts[LINKS] else messages("waiting"),
             messages("going"),
+            there_ns,
             message_bytes(there),
             uarts,
         )

@@ -377,6 +377,7 @@ class ShardKernel:
             "meters": hardware.meters,
             "waiting": hardware.waiting,
             "going": hardware.going,
+            "there_ns": hardware.there_ns,
             "there": hardware.there,
         }
         fields |= {name: self._address(array) for name, array in arrays.items()}

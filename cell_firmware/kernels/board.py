@@ -11,7 +11,7 @@ from cell_firmware.kernels.speed_loop import LOOP, WHEELS
 
 @entry(
     INTEGER, INTEGER, read(BOARD, 1), read(lines.LINES, 1), read(CLOCK, 1), written(watchdog.WATCHDOG, 1),
-    written(lines.LINE, 1), written("u1", 3), written("u1", 4), read("?", 2), read("u1", 3),
+    written(lines.LINE, 1), written("u1", 3), written("i8", 3), written("u1", 4), read("?", 2), read("u1", 3),
     written("i8", 1), written("?", 1), written("?", 1), written("?", 2), written("u1", 3),
 )  # fmt: skip
 def begin(
@@ -23,6 +23,7 @@ def begin(
     watches,
     cells,
     waiting,
+    there_ns,
     there,
     line_received,
     line,
@@ -43,6 +44,7 @@ def begin(
         watches: ``(n,)``.
         cells: ``(n,)``.
         waiting: ``(n, 4, size)`` uint8.
+        there_ns: ``(n, slots, 4)``.
         there: ``(n, slots, 4, size)`` uint8.
         line_received: ``(n, 4)``, whether a line carries something.
         line: ``(n, 4, size)`` uint8, what it carries.
@@ -59,7 +61,7 @@ def begin(
     running, resets = 0, 0
     for i in range(len(at_ns)):
         at_ns[i], runs[i], reset[i] = begin_cell(
-            k, link, i, tick, now_ns, clocks, watches, cells, waiting, there,
+            k, link, i, tick, now_ns, clocks, watches, cells, waiting, there_ns, there,
             line_received[i], line[i], received[i], message[i],
         )  # fmt: skip
         running += runs[i]

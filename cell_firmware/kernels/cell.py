@@ -51,7 +51,7 @@ def read_ns(k, clocks, i, window, now_ns):
 
 @inlined
 def begin_cell(
-    k, link, i, tick, now_ns, clocks, watches, cells, waiting, there, line_received, line, received, message
+    k, link, i, tick, now_ns, clocks, watches, cells, waiting, there_ns, there, line_received, line, received, message
 ):
     """Begin a cell's tick: clock, lines, and watchdog.
 
@@ -65,7 +65,8 @@ def begin_cell(
         watches: ``(n,)`` of ``WATCHDOG``; none without watchdogs.
         cells: ``(n,)`` of ``LINE``; none without lines, where messages are passed on whole.
         waiting: ``(n, 4, size)`` uint8, messages in mailboxes.
-        there: ``(n, slots, 4, size)`` uint8, what lines carried.
+        there_ns: ``(n, slots, 4)``, when what lines carried arrives.
+        there: ``(n, slots, 4, size)`` uint8, what they carried.
         line_received: ``(4,)``, whether the cell's lines carry something.
         line: ``(4, size)`` uint8, what they carry; of serial lines byte by byte its memory alone matters.
         received: ``(4,)``, all false; is filled with the messages for the program.
@@ -79,7 +80,7 @@ def begin_cell(
     if k.lines:
         if link.kind == lines.SERIAL:
             lines.receive_serial(
-                link, cells[i], there[i], window, at_ns, line_received, line, received, message
+                link, cells[i], there_ns[i], there[i], window, at_ns, line_received, line, received, message
             )
         elif link.kind == lines.MAILBOX:
             lines.receive_mailbox(link, cells[i], waiting[i], at_ns, line_received, line, received, message)

@@ -24,9 +24,6 @@ HEAD = 8
 """Bytes before a message. On a serial line: int32, when its last byte began; uint32, how many windows ago it began. For
 a mailbox: int64, when in its window it was sent."""
 
-MOST_SLOTS = 8
-"""Most windows that a message on a serial line can wait for its delivery."""
-
 LINES = np.dtype(
     [
         ("kind", "<i8"),
@@ -45,23 +42,25 @@ LINES = np.dtype(
 
 LINE = np.dtype(
     [
-        ("whole_ns", "<i8", (4,)),
+        # in every tick
         ("since", "<i8", (1,)),
         ("ppb", "<i8", (1,)),
-        ("began", "<i8", (4,)),
-        ("last_ns", "<i8", (4,)),
-        ("free_ns", "<i8", (4,)),
-        ("sent", "<i8", (4,)),
-        ("received", "<i8", (4,)),
-        ("replaced", "<i8", (4,)),
-        ("there_ns", "<i8", (MOST_SLOTS, 4)),
         ("reaches", "u1", (4,)),
         ("waits", "u1", (4,)),
         ("goes", "u1", (4,)),
+        ("last_ns", "<i8", (4,)),
+        ("free_ns", "<i8", (4,)),
+        ("replaced", "<i8", (4,)),
+        # where a message begins, ends or arrives
+        ("began", "<i8", (4,)),
+        ("sent", "<i8", (4,)),
+        ("whole_ns", "<i8", (4,)),
+        ("received", "<i8", (4,)),
     ],
     align=True,
 )
-"""State of a cell's links, without the messages; a mailbox uses ``waits`` and ``replaced`` of it."""
+"""State of a cell's links, without the messages and the times at which these arrive; a mailbox uses ``waits`` and
+``replaced`` of it."""
 
 
 @kernel
@@ -81,13 +80,15 @@ def write_number(data, first, size, number):
 
 
 @kernel
-def receive_serial(k, cell, there, window, at_ns, line_received, line, received, message):
+def receive_serial(k, cell, there_ns, there, window, at_ns, line_received, line, received, message):
     """One exchange of a cell's serial lines.
 
     Args:
         k: Record of ``LINES``.
         cell: Record of ``LINE``.
-        there: ``(slots, 4, size)`` uint8, what the lines carried in the last windows.
+        there_ns: ``(slots, 4)``, when what the lines carried in the last windows arrives; ``NEVER``: it has, or nothing
+            came.
+        there: ``(slots, 4, size)`` uint8, what they carried.
         window: Of the exchange.
         at_ns: When the cell reads; -1: it doesn't.
         line_received: ``(4,)``, which lines carry something.
@@ -100,20 +101,22 @@ def receive_serial(k, cell, there, window, at_ns, line_received, line, received,
         cell.since[0] = sent_in
     new = window % k.slots
     for side in range(4):
-        cell.there_ns[new, side] = NEVER
+        arrives_ns = NEVER
         if line_received[side]:
             last_ns = np.int64(np.int32(read_number(line[side], 0, 4)))
             if sent_in - read_number(line[side], 4, 4) >= cell.since[0]:
-                cell.there_ns[new, side] = sent_in * k.window_ns + last_ns + cell.whole_ns[side]
+                arrives_ns = sent_in * k.window_ns + last_ns + cell.whole_ns[side]
                 copy(line[side], there[new, side])
+        if there_ns[new, side] != arrives_ns:  # what isn't written needn't go back to memory
+            there_ns[new, side] = arrives_ns
     slot = new
     for _ in range(k.slots):  # the oldest first
         slot += 1
         if slot == k.slots:
             slot = 0
         for side in range(4):
-            if cell.there_ns[slot, side] <= at_ns:
-                cell.there_ns[slot, side] = NEVER
+            if there_ns[slot, side] <= at_ns:
+                there_ns[slot, side] = NEVER
                 cell.received[side] += k.length
                 received[side] = True
                 copy(there[slot, side, HEAD:], message[side])

@@ -87,6 +87,7 @@ SHARD = np.dtype(
             "meters",  # (a,) of METER
             "waiting",  # (a, 4, size) bytes
             "going",  # (a, 4, size) bytes
+            "there_ns",  # (a, slots, 4)
             "there",  # (a, slots, 4, size + head) bytes
             "rows",  # (a,): the row of each live cell among the shard's
             "source",  # (n, 4): slot of the outbox that a side reads; -1: none; below: link -2 - source of the border
@@ -286,6 +287,7 @@ def run_tick(tick, shards):
     wheels, meters = array_at(s.wheels, live, WHEELS), array_at(s.meters, live, METER)
     cells = array_at(s.lines, live, lines.LINE)
     waiting, going = array_at(s.waiting, (live, 4, SIZE), BYTE), array_at(s.going, (live, 4, SIZE), BYTE)
+    there_ns = array_at(s.there_ns, (live, s.slots, 4), LONG)
     there = array_at(s.there, (live, s.slots, 4, SIZE + lines.HEAD), BYTE)
     rows, source = array_at(s.rows, live, LONG), array_at(s.source, (n, 4), LONG)
     parameters, states = array_at(s.parameters, 1, PARAMETERS), array_at(s.states, live, STATE)
@@ -366,7 +368,7 @@ def run_tick(tick, shards):
         at_ns, runs = now_ns, True
         if begins:
             at_ns, runs, _ = begin_cell(
-                k, link, i, tick, now_ns, clocks, watches, cells, waiting, there,
+                k, link, i, tick, now_ns, clocks, watches, cells, waiting, there_ns, there,
                 line_received, line, line_brings, brought,
             )  # fmt: skip
         if has_lines:
