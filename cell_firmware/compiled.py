@@ -208,7 +208,8 @@ class CompiledController(Controller):
         received, message = self._lines_empty(n, self._message)
         running, resets = kernels.begin(
             now.tick, int(now.at_ns), boards, links, hardware.clocks, hardware.watches, hardware.cells,
-            hardware.waiting, hardware.there_ns, hardware.there, *_given(inputs.inbox and inputs.inbox.received, inputs.inbox, n),
+            hardware.waiting, hardware.there_ns, hardware.there,
+            *_given(inputs.inbox and inputs.inbox.received, inputs.inbox, n),
             at_ns, runs, reset, received, message_bytes(message),
         )  # fmt: skip
         if resets:

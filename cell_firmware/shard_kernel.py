@@ -411,10 +411,11 @@ class ShardKernel:
         if fields["messages"]:
             for own, given in zip(self.outboxes, outboxes, strict=True):
                 own[0][...], own[1][...] = given
+                own[1][~own[0]] = np.zeros((), dtype=self._line)
         fields["current"] = 0
         fields |= self._outbox_addresses()
-        fields["rows"] = self._address(np.arange(n) if rows is None else readable(rows))
-        fields["source"] = self._address(self._links.sources())
+        fields["rows"] = self._address((np.arange(n) if rows is None else rows).astype(np.int32))
+        fields["source"] = self._address(self._links.sources().astype(np.int32))
         fields["border_from"] = self._address(readable(self._links.out_from))
 
     def _bind_program(self, fields: dict[str, Any], cells: Cells) -> None:

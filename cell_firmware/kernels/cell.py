@@ -51,7 +51,21 @@ def read_ns(k, clocks, i, window, now_ns):
 
 @inlined
 def begin_cell(
-    k, link, i, tick, now_ns, clocks, watches, cells, waiting, there_ns, there, line_received, line, received, message
+    k,
+    link,
+    i,
+    tick,
+    now_ns,
+    clocks,
+    watches,
+    cells,
+    waiting,
+    there_ns,
+    there,
+    line_received,
+    line,
+    received,
+    message,
 ):
     """Begin a cell's tick: clock, lines, and watchdog.
 

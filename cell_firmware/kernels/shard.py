@@ -30,15 +30,17 @@ from cell_firmware.kernels.values import (
     round_draft,
     value_records,
 )
-from cell_firmware.kernels.watchdog import WATCHDOG, times_out
+from cell_firmware.kernels.watchdog import WATCHDOG, periods_left, times_out
 
 LARGEST = np.finfo(np.float64).max
+MOST_TICKS = np.int64(1) << 62
 
 RESETS = -1
 """Result of a tick that was not begun, since a watchdog resets a cell in it."""
 
 BOOL = np.dtype(np.bool_)
 BYTE = np.dtype(np.uint8)
+INT = np.dtype(np.int32)
 LONG = np.dtype(np.int64)
 DOUBLE = np.dtype(np.float64)
 WORDS = np.dtype(np.uint64)
@@ -65,6 +67,7 @@ SHARD = np.dtype(
             "clock_period_ns",  # of the clocks by which bits are read; 0: in every exchange
             "clock_window_ns",
             "bounces",  # counted
+            "next_look",  # tick before which no watchdog resets a cell
             # addresses of arrays; a tick reads ...
             "bits",  # (n, sensors) bool, presence
             "encoder_m",  # (n, 2), travel of the wheels; any numbers without motors
@@ -89,12 +92,12 @@ SHARD = np.dtype(
             "going",  # (a, 4, size) bytes
             "there_ns",  # (a, slots, 4)
             "there",  # (a, slots, 4, size + head) bytes
-            "rows",  # (a,): the row of each live cell among the shard's
-            "source",  # (n, 4): slot of the outbox that a side reads; -1: none; below: link -2 - source of the border
+            "rows",  # (a,) int32, ascending: the row of each live cell among the shard's
+            "source",  # (n, 4) int32: slot of the outbox that a side reads; -1: none; below: border's link -2 - source
             "border_from",  # (links_out,): slot of the outbox
             "sent_0",  # (4 n,) bool, the two outboxes
             "sent_1",
-            "outbox_0",  # (4 n, size + head or burst) bytes
+            "outbox_0",  # (4 n, size + head or burst) bytes, zeros where nothing is sent
             "outbox_1",
             "random_keys",  # (names, 2) of WORDS
             "places",  # (a, 2): row and column of each live cell
@@ -152,12 +155,17 @@ def run_rows(parameters, states, inputs, outputs):
 
 
 @kernel
-def any_reset(k, s, window, now_ns, clocks, watches):
-    """Whether a watchdog resets a cell in a window."""
+def ticks_without_reset(k, s, window, now_ns, clocks, watches):
+    """From this tick on, in how many no watchdog resets a cell; 0: one does in this tick.
+
+    A program that serves its watchdog only puts it off: until then neither clocks nor watchdogs are looked at.
+    """
+    ticks = MOST_TICKS
     for i in range(s.live):
         if read_ns(k, clocks, i, window, now_ns) >= 0 and times_out(k, watches[i]):
-            return True
-    return False
+            return 0
+        ticks = min(ticks, periods_left(k, watches[i]))
+    return max(ticks, 1)
 
 
 @inlined
@@ -282,14 +290,17 @@ def run_tick(tick, shards):
     clocks, watches = array_at(s.clocks, live, CLOCK), array_at(s.watches, live, WATCHDOG)
     window = window_of(k, tick)
     now_ns, bounces = tick * s.period_ns, s.bounces
-    if s.opens and k.watchdog and any_reset(k, s, window, now_ns, clocks, watches):
-        return RESETS, 0
+    if s.opens and k.watchdog and tick >= s.next_look:
+        ticks = ticks_without_reset(k, s, window, now_ns, clocks, watches)
+        if ticks == 0:
+            return RESETS, 0
+        s.next_look = tick + ticks
     wheels, meters = array_at(s.wheels, live, WHEELS), array_at(s.meters, live, METER)
     cells = array_at(s.lines, live, lines.LINE)
     waiting, going = array_at(s.waiting, (live, 4, SIZE), BYTE), array_at(s.going, (live, 4, SIZE), BYTE)
     there_ns = array_at(s.there_ns, (live, s.slots, 4), LONG)
     there = array_at(s.there, (live, s.slots, 4, SIZE + lines.HEAD), BYTE)
-    rows, source = array_at(s.rows, live, LONG), array_at(s.source, (n, 4), LONG)
+    rows, source = array_at(s.rows, live, INT), array_at(s.source, (n, 4), INT)
     parameters, states = array_at(s.parameters, 1, PARAMETERS), array_at(s.states, live, STATE)
     bits, encoder_m = array_at(s.bits, (n, s.sensors), BOOL), array_at(s.encoder_m, (n, 2), DOUBLE)
     drive, current = array_at(s.drive, (n, 2), DOUBLE), s.current
@@ -343,10 +354,14 @@ def run_tick(tick, shards):
     ends = begins or k.wheels
     failures = 0
     if s.opens and live < n:
+        i = 0
         for row in range(n):
-            drive[row, 0] = drive[row, 1] = 0.0
-            for side in range(4):
-                sent_next[row, side] = False
+            if i < live and rows[i] == row:  # its flags say which of its slots aren't zeros
+                i += 1
+            else:
+                drive[row, 0] = drive[row, 1] = 0.0
+                for side in range(4):
+                    sent_next[row, side] = False
     for i in range(s.first, s.last):
         row = rows[i]
         if debounces:
@@ -412,19 +427,21 @@ def run_tick(tick, shards):
         failed[i] = fails
         if messages:
             for side in range(4):
+                had = sent_next[row, side]  # what has no message is zeros already, and isn't written
                 sent_next[row, side] = says[side] and not has_lines
                 target = whole_next[row, side]
                 if has_lines:
                     target = taken[side]
                 if not says[side]:
-                    clear_memory(target)
+                    if had or has_lines:
+                        clear_memory(target)
                 elif WHOLE_DRAFT:  # a constant to the compiler
                     copy_memory(draft[side], target)
                 else:
                     round_draft(VALUES, draft[side], draft_bits[side], target)
-                if byte_wise:
+                if had and byte_wise:
                     clear_memory(bursts_next[row, side])
-                elif has_lines:
+                elif had and has_lines:
                     clear_memory(lined_next[row, side])
         if ends:
             out = lined_next[row]

@@ -53,12 +53,15 @@ LOOP = np.dtype(
 
 WHEELS = np.dtype(
     [
-        ("integral", "<i4", (2,)),
+        # of a behavioural cell
         ("integral_v", "<f8", (2,)),
-        ("count", "u1", (2,)),
         ("encoder_m", "<f8", (2,)),
-        ("seen", "u1", (1,)),
+        # of one with a loop in integers and counters
+        ("integral", "<i4", (2,)),
         ("duty", "<i4", (2,)),
+        ("count", "u1", (2,)),
+        # of both
+        ("seen", "u1", (1,)),
     ],
     align=True,
 )

@@ -35,6 +35,12 @@ def times_out(k, watch):
 
 
 @kernel
+def periods_left(k, watch):
+    """Control periods of the cell, from the next one on, in which its watchdog doesn't time out at all events."""
+    return (watch.served_ns + k.timeout_ns - watch.instants * k.period_ns + k.period_ns - 1) // k.period_ns
+
+
+@kernel
 def time_out(k, watch):
     """Reset a cell whose program served its watchdog too long ago. Returns whether it was reset."""
     if not times_out(k, watch):
