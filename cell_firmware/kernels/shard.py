@@ -237,6 +237,28 @@ def leave_shard(sent, outbox, border_from, border_sent, border):
 
 
 @kernel
+def silence(rows, drive, sent, outbox):
+    """Have dead cells drive and send nothing.
+
+    Args:
+        rows: ``(a,)``, of the live cells, ascending.
+        drive: ``(n, 2)``.
+        sent: ``(n, 4)``.
+        outbox: ``(n, 4, size)`` uint8.
+    """
+    i = 0
+    for row in range(len(drive)):
+        if i < len(rows) and rows[i] == row:
+            i += 1
+            continue
+        drive[row, 0] = drive[row, 1] = 0.0
+        for side in range(4):
+            if sent[row, side]:
+                sent[row, side] = False
+                clear_memory(outbox[row, side])
+
+
+@kernel
 def is_finite(draft):
     """Whether all words of a cell's draft are numbers, ``(4, words)`` of float64."""
     finite = True
@@ -354,14 +376,8 @@ def run_tick(tick, shards):
     ends = begins or k.wheels
     failures = 0
     if s.opens and live < n:
-        i = 0
-        for row in range(n):
-            if i < live and rows[i] == row:  # its flags say which of its slots aren't zeros
-                i += 1
-            else:
-                drive[row, 0] = drive[row, 1] = 0.0
-                for side in range(4):
-                    sent_next[row, side] = False
+        size = burst if byte_wise else SIZE + lines.HEAD if has_lines else SIZE
+        silence(rows, drive, sent_next, array_at(after, (n, 4, size), BYTE))
     for i in range(s.first, s.last):
         row = rows[i]
         if debounces:
