@@ -29,7 +29,7 @@ def test_a_cell_with_a_whole_board_has_no_more_bytes_than_its_budget(lockstep: A
 
 
 def test_what_every_tick_needs_of_a_serial_line_lies_in_two_cache_lines() -> None:
-    fields = {name: (offset, kind.itemsize) for name, (kind, offset) in (LINE.fields or {}).items()}
+    fields = {name: (field[1], field[0].itemsize) for name, field in (LINE.fields or {}).items()}
     always = ("since", "ppb", "reaches", "waits", "goes", "last_ns", "free_ns", "replaced")
     assert max(sum(fields[name]) for name in always) <= 2 * CACHE_LINE
     assert LINE.itemsize % CACHE_LINE == 0
