@@ -165,6 +165,21 @@ def copy_memory(_context, source, target):
 
 
 @intrinsic
+def move_memory(_context, source, target):
+    """Copy as ``copy_memory``, from a source that may overlap the target."""
+
+    def generate(context, builder, signature, arguments):
+        there, here = (
+            context.make_array(kind)(context, builder, value)
+            for kind, value in zip(signature.args, arguments, strict=True)
+        )
+        cgutils.raw_memmove(builder, here.data, there.data, here.nitems, here.itemsize)
+        return context.get_dummy_value()
+
+    return types.none(source, target), generate
+
+
+@intrinsic
 def clear_memory(_context, target):
     """Make all bytes of an array in one piece zero."""
 

@@ -10,10 +10,8 @@ import numpy as np
 from cell_firmware.kernels.clock import by_clock
 from cell_firmware.kernels.jit import INTEGER, entry, inlined, kernel
 from cell_firmware.kernels.lines import read_number, write_number
-from cell_firmware.kernels.memory import array_at, copy_memory
+from cell_firmware.kernels.memory import array_at, move_memory
 
-MOST_RUNS = 14
-"""Most runs of bytes under way on a line: two a burst."""
 BITS = 10
 """Of a byte: start bit, eight of data, the least first, stop bit."""
 STOP = BITS - 1
@@ -41,6 +39,8 @@ UARTS = np.dtype(
             "late_ns",  # how much later everything comes than it does on the line
             # addresses of arrays; n: cells
             "cells",  # (n,) of UART
+            "runs",  # (n, 4, 2 bursts) of RUN: bytes under way, two runs a burst, the oldest first
+            "samples",  # (n, 4, BITS): which bit a receiver reads as each, where clocks differ too much
             "going",  # (n, 4, size + 1 + PADDING) bytes: the message under way
             "waiting",  # (n, 4, size) bytes
             "buffer",  # (n, 4, size + 2 + width) bytes: what came of a message
@@ -52,10 +52,17 @@ UARTS = np.dtype(
 )
 """The lines of all cells of a shard: constants, and addresses of what stays in one place."""
 
+RUN = np.dtype([("left", "<i8"), ("place", "<i8"), ("start_ns", "<i8")])
+"""A run of bytes under way: how many are left, the place of the first in its burst, and when it starts."""
+
 _LINE = (4,)
 UART = np.dtype(
     [
-        *((name, "<i8", (4, MOST_RUNS)) for name in ("left", "place", "start_ns")),
+        # in nearly every tick
+        ("reaches", "u1", _LINE),
+        ("waits", "u1", _LINE),
+        ("skewed", "u1", _LINE),
+        ("ppb", "<i8"),
         *(
             (name, "<i8", _LINE)
             for name in (
@@ -66,28 +73,24 @@ UART = np.dtype(
                 "sent",
                 "replaced",
                 "received",
+                "byte_ns",
+                "come_ns",
+                "idle_ns",
+                # on shared and disturbed lines
+                "stop_ns",
                 "overruns",
                 "framing",
                 "damaged",
                 "unheard",
-                "byte_ns",
-                "come_ns",
-                "idle_ns",
-                "stop_ns",
             )
         ),
-        ("samples", "<i8", (4, BITS)),
-        ("ppb", "<i8"),
         ("periods", "<i8"),
         ("ahead", "<i8"),
         ("since_ns", "<i8"),
-        ("reaches", "u1", _LINE),
-        ("waits", "u1", _LINE),
-        ("skewed", "u1", _LINE),
     ],
     align=True,
 )
-"""State of a cell's lines by side, without their bytes; names as in the state of ``SerialLines``."""
+"""State of a cell's lines by side, without bytes under way; names as in the state of ``SerialLines``."""
 
 FLOAT, BOUNDED = 0, 1
 CHECK = np.dtype([("kind", "<i8"), ("start", "<i8"), ("size", "<i8"), ("most", "<i8")])
@@ -138,40 +141,41 @@ def close(k, cell, side, buffer, received, message):
 
 
 @kernel
-def pass_bytes(cell, side, run, count):
+def pass_bytes(run, byte_ns, count):
     """Remove the first bytes of a run."""
-    cell.left[side, run] -= count
-    cell.place[side, run] += count
-    cell.start_ns[side, run] += count * cell.byte_ns[side]
+    run.left -= count
+    run.place += count
+    run.start_ns += count * byte_ns
 
 
 @kernel
-def sampled(cell, side, value, followed):
+def sampled(samples, value, followed):
     """Return the byte that the receiver samples, and whether it has a framing error; as ``timing.sampled``."""
     line = np.int64(value) << 1 | 1 << STOP | (0 if followed else 1 << BITS)
     read = 0
     for j in range(1, STOP):
-        read |= (line >> cell.samples[side, j] & 1) << (j - 1)
-    return read, line >> cell.samples[side, STOP] & 1 == 0
+        read |= (line >> samples[j] & 1) << (j - 1)
+    return read, line >> samples[STOP] & 1 == 0
 
 
 @kernel
-def is_followed(k, cell, side, start_ns):
+def is_followed(runs, stop_ns, start_ns):
     """Whether the byte after one that began at a time has begun when its stop bit is sampled."""
-    for run in range(2 * k.bursts):
-        later = cell.start_ns[side, run] - start_ns
-        if cell.left[side, run] > 0 and later > 0 and later <= cell.stop_ns[side]:
+    for r in range(len(runs)):
+        later = runs[r].start_ns - start_ns
+        if runs[r].left > 0 and later > 0 and later <= stop_ns:
             return True
     return False
 
 
 @inlined
-def queue(k, cell, data, window, brings, line):
+def queue(k, cell, runs, data, window, brings, line):
     """Queue the bursts that a cell's lines carried in the window before.
 
     Args:
         k: Record of ``UARTS``.
         cell: Record of ``UART``.
+        runs: ``(4, 2 bursts)`` of ``RUN``.
         data: ``(4, bursts, width + PADDING)`` uint8.
         window: In which the cell's instants lie.
         brings: ``(4,)``, whether a line carried something.
@@ -182,20 +186,18 @@ def queue(k, cell, data, window, brings, line):
     for side in range(4):
         if not (k.shifts or brings[side]):
             continue
-        cell.overruns[side] += cell.left[side, 0] + cell.left[side, 1]
-        for run in range(2 * last):
-            cell.left[side, run] = cell.left[side, run + 2]
-            cell.place[side, run] = cell.place[side, run + 2]
-            cell.start_ns[side, run] = cell.start_ns[side, run + 2]
-        for burst in range(last):
-            copy_memory(data[side, burst + 1], data[side, burst])
+        dropped = runs[side, 0].left + runs[side, 1].left
+        if dropped:
+            cell.overruns[side] += dropped
+        move_memory(runs[side, 2:], runs[side, : 2 * last])
+        move_memory(data[side, 1:], data[side, :last])
         # bytes beyond a window's room are dropped, whatever a sender claims
         first = min(read_number(line[side], 0, 2), k.width)
-        cell.left[side, 2 * last], cell.place[side, 2 * last] = first, 0
-        cell.left[side, 2 * last + 1] = min(read_number(line[side], RUN_BYTES, 2), k.width - first)
-        cell.place[side, 2 * last + 1] = first
-        for run in range(2):
-            cell.start_ns[side, 2 * last + run] = begins_ns + read_number(line[side], RUN_BYTES * run + 2, 4)
+        one, other = runs[side, 2 * last], runs[side, 2 * last + 1]
+        one.left, one.place = first, 0
+        other.left, other.place = min(read_number(line[side], RUN_BYTES, 2), k.width - first), first
+        one.start_ns = begins_ns + read_number(line[side], 2, 4)
+        other.start_ns = begins_ns + read_number(line[side], RUN_BYTES + 2, 4)
         for b in range(k.width):
             data[side, last, b] = line[side, 2 * RUN_BYTES + b]
         for b in range(k.width, k.width + PADDING):
@@ -211,14 +213,16 @@ def keep(k, cell, side, buffer, value):
 
 
 @inlined
-def take(k, cell, side, run, at_ns, room, data, buffer, received, message):
+def take(k, cell, side, runs, r, samples, at_ns, room, data, buffer, received, message):
     """Read the bytes of a run that have come.
 
     Args:
         k: Record of ``UARTS``.
         cell: Record of ``UART``.
         side: Of the line.
-        run: Which: the oldest is 0.
+        runs: ``(2 bursts,)`` of ``RUN``, of the line.
+        r: Which of them.
+        samples: ``(BITS,)``, of the line.
         at_ns: When.
         room: How many bytes can wait for the cell, less those that were read.
         data: ``(width + PADDING,)`` uint8, of the run's burst.
@@ -229,27 +233,28 @@ def take(k, cell, side, run, at_ns, room, data, buffer, received, message):
     Returns:
         How many came, and the room that is left.
     """
-    left, start_ns, byte_ns = cell.left[side, run], cell.start_ns[side, run], cell.byte_ns[side]
+    run, byte_ns = runs[r], cell.byte_ns[side]
+    left, start_ns = run.left, run.start_ns
     came = min(max((at_ns - cell.come_ns[side] - start_ns) // byte_ns + 1, 0), left)
     if came and k.dwell:
         lost = came
         if ((cell.periods - 1) // k.dwell + cell.ahead) % 4 == side:
             lost = min(max(-((start_ns + k.late_ns - cell.since_ns) // byte_ns), 0), came)
         cell.unheard[side] += lost
-        pass_bytes(cell, side, run, lost)
-        came, left, start_ns = came - lost, left - lost, cell.start_ns[side, run]
+        pass_bytes(run, byte_ns, lost)
+        came, left, start_ns = came - lost, left - lost, run.start_ns
     if not came:
         return 0, room
     if not k.polled:
         if start_ns - cell.last_ns[side] >= cell.idle_ns[side] and cell.length[side] > 0:
             close(k, cell, side, buffer, received, message)
         cell.last_ns[side] = start_ns + (came - 1) * byte_ns
-    place, skewed = cell.place[side, run], cell.skewed[side] != 0
+    place, skewed = run.place, cell.skewed[side] != 0
     for j in range(came):
         value, fails = np.int64(data[place + j]), False
         if skewed:
-            followed = left > j + 1 or is_followed(k, cell, side, start_ns + j * byte_ns)
-            value, fails = sampled(cell, side, value, followed)
+            followed = left > j + 1 or is_followed(runs, cell.stop_ns[side], start_ns + j * byte_ns)
+            value, fails = sampled(samples, value, followed)
         # an interrupt drops a byte with a framing error at once; in a polled register it takes up the room
         takes_room = k.polled or not fails
         if takes_room and room == 0:
@@ -260,12 +265,12 @@ def take(k, cell, side, run, at_ns, room, data, buffer, received, message):
             cell.framing[side] += 1
         else:
             keep(k, cell, side, buffer, value)
-    pass_bytes(cell, side, run, came)
+    pass_bytes(run, byte_ns, came)
     return came, room
 
 
 @inlined
-def end_message(k, cell, side, at_ns, silent, buffer, received, message):
+def end_message(k, cell, side, runs, at_ns, silent, buffer, received, message):
     """End the message on a line whose end has been detected; ``silent``: no byte came in this period."""
     if cell.length[side] == 0:
         return
@@ -276,8 +281,8 @@ def end_message(k, cell, side, at_ns, silent, buffer, received, message):
     idle_ns = cell.last_ns[side] + cell.idle_ns[side]
     if idle_ns + k.late_ns > at_ns:
         return
-    for run in range(2 * k.bursts):  # what has not come yet, but has begun
-        if cell.left[side, run] and cell.start_ns[side, run] < idle_ns:
+    for r in range(len(runs)):  # what has not come yet, but has begun
+        if runs[r].left and runs[r].start_ns < idle_ns:
             return
     close(k, cell, side, buffer, received, message)
 
@@ -301,6 +306,8 @@ def receive(uarts, i, window, at_ns, line_received, line, received, message):
     """
     k = array_at(uarts, 1, UARTS)[0]
     cell = array_at(k.cells, i + 1, UART)[i]
+    runs = array_at(k.runs, (i + 1, 4, 2 * k.bursts), RUN)[i]
+    samples = array_at(k.samples, (i + 1, 4, BITS), np.int64)[i]
     buffer = array_at(k.buffer, (i + 1, 4, k.size + 2 + k.width), np.uint8)[i]
     data = array_at(k.data, (i + 1, 4, k.bursts, k.width + PADDING), np.uint8)[i]
     came = array_at(received, 4, np.bool_)
@@ -308,6 +315,7 @@ def receive(uarts, i, window, at_ns, line_received, line, received, message):
     queue(
         k,
         cell,
+        runs,
         data,
         window,
         array_at(line_received, 4, np.bool_),
@@ -315,13 +323,14 @@ def receive(uarts, i, window, at_ns, line_received, line, received, message):
     )
     for side in range(4):
         room, silent = k.room, at_ns >= 0
-        for run in range(2 * k.bursts):
-            if cell.left[side, run]:  # seldom, and looking further takes time
+        for r in range(2 * k.bursts):
+            if runs[side, r].left:  # seldom, and looking further takes time
                 count, room = take(
-                    k, cell, side, run, at_ns, room, data[side, run // 2], buffer[side], came, words
-                )
+                    k, cell, side, runs[side], r, samples[side], at_ns, room, data[side, r // 2], buffer[side],
+                    came, words,
+                )  # fmt: skip
                 silent = silent and count == 0
-        end_message(k, cell, side, at_ns, silent, buffer[side], came, words)
+        end_message(k, cell, side, runs[side], at_ns, silent, buffer[side], came, words)
     return 0
 
 

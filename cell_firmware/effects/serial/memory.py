@@ -13,7 +13,7 @@ from cell_firmware.effects.serial.framing import Frame
 from cell_firmware.effects.serial.timing import BITS_A_BYTE, LineSettings, LineTimes
 from cell_firmware.firmware import State
 from cell_firmware.kernels.memory import entry_address
-from cell_firmware.kernels.uarts import BOUNDED, CHECK, FLOAT, UART, UARTS, idle, receive, send
+from cell_firmware.kernels.uarts import BOUNDED, CHECK, FLOAT, RUN, UART, UARTS, idle, receive, send
 from cell_firmware.message_values import values_of
 
 _TIMES: Final = ("byte_ns", "come_ns", "idle_ns", "stop_ns")
@@ -36,12 +36,13 @@ def uart_memory(
     cells = np.zeros(len(state["gone"]), dtype=UART)
     for name in _TIMES:
         cells[name] = getattr(times, name)
-    cells["samples"] = np.arange(BITS_A_BYTE)
-    views = dict[str, NDArray[Any]](_views(cells, bursts))
+    runs = np.zeros((len(cells), 4, 2 * bursts), dtype=RUN)
+    samples = np.tile(np.arange(BITS_A_BYTE, dtype=np.int64), (len(cells), 4, 1))
+    views = dict[str, NDArray[Any]](_views(cells, runs))
     data = np.stack([state[f"data_{i}"] for i in range(bursts)], axis=2)
     views.update((f"data_{i}", data[:, :, i]) for i in range(bursts))
     waiting, going, buffer = (state[name].copy() for name in ("waiting", "going", "buffer"))
-    views.update(waiting=waiting, going=going, buffer=buffer)
+    views.update(waiting=waiting, going=going, buffer=buffer, samples=samples)
     parts = {name: _like(views[name], array) for name, array in state.items()}
     checks = _checks(frame)
     record = np.zeros(1, dtype=UARTS)
@@ -64,6 +65,8 @@ def uart_memory(
         record[name] = value
     arrays = {
         "cells": cells,
+        "runs": runs,
+        "samples": samples,
         "going": going,
         "waiting": waiting,
         "buffer": buffer,
@@ -78,15 +81,14 @@ def uart_memory(
     return LinkMemory(parts, record, tuple(arrays.values()), addresses)
 
 
-def _views(cells: NDArray[Any], bursts: int) -> Iterator[tuple[str, NDArray[Any]]]:
+def _views(cells: NDArray[Any], runs: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
     """Yield the memory of records by the names that ``SerialLines`` has for it."""
     for name in cells.dtype.names or ():
-        if name not in ("left", "place", "start_ns"):
-            yield name, cells[name]
-    for run in range(2 * bursts):
-        yield f"left_{run}", cells["left"][:, :, run]
-        yield f"place_{run}", cells["place"][:, :, run]
-        yield f"start_{run}_ns", cells["start_ns"][:, :, run]
+        yield name, cells[name]
+    for r in range(runs.shape[2]):
+        yield f"left_{r}", runs["left"][:, :, r]
+        yield f"place_{r}", runs["place"][:, :, r]
+        yield f"start_{r}_ns", runs["start_ns"][:, :, r]
 
 
 def _like(view: NDArray[Any], array: NDArray[Any]) -> NDArray[Any]:
