@@ -51,22 +51,9 @@ def read_ns(k, clocks, i, window, now_ns):
 
 @inlined
 def begin_cell(
-    k,
-    link,
-    i,
-    tick,
-    now_ns,
-    clocks,
-    watches,
-    cells,
-    waiting,
-    there_ns,
-    there,
-    line_received,
-    line,
-    received,
-    message,
-):
+    k, link, i, tick, now_ns, clocks, watches, cells, waiting, there_ns, there,
+    line_received, line, received, message,
+):  # fmt: skip
     """Begin a cell's tick: clock, lines, and watchdog.
 
     Args:

@@ -67,7 +67,7 @@ SHARD = np.dtype(
             "clock_period_ns",  # of the clocks by which bits are read; 0: in every exchange
             "clock_window_ns",
             "bounces",  # counted
-            "next_look",  # tick before which no watchdog resets a cell
+            "no_resets",  # ticks, the next one included, in which no watchdog can reset a cell
             # addresses of arrays; a tick reads ...
             "bits",  # (n, sensors) bool, presence
             "encoder_m",  # (n, 2), travel of the wheels; any numbers without motors
@@ -156,9 +156,9 @@ def run_rows(parameters, states, inputs, outputs):
 
 @kernel
 def ticks_without_reset(k, s, window, now_ns, clocks, watches):
-    """From this tick on, in how many no watchdog resets a cell; 0: one does in this tick.
+    """Ticks, this one included, before the first in which a watchdog can reset a cell; 0: one does in this tick.
 
-    A program that serves its watchdog only puts it off: until then neither clocks nor watchdogs are looked at.
+    Being served only puts a watchdog off: until then neither clocks nor watchdogs are looked at.
     """
     ticks = MOST_TICKS
     for i in range(s.live):
@@ -312,11 +312,12 @@ def run_tick(tick, shards):
     clocks, watches = array_at(s.clocks, live, CLOCK), array_at(s.watches, live, WATCHDOG)
     window = window_of(k, tick)
     now_ns, bounces = tick * s.period_ns, s.bounces
-    if s.opens and k.watchdog and tick >= s.next_look:
-        ticks = ticks_without_reset(k, s, window, now_ns, clocks, watches)
-        if ticks == 0:
-            return RESETS, 0
-        s.next_look = tick + ticks
+    if s.opens and k.watchdog:
+        if s.no_resets == 0:
+            s.no_resets = ticks_without_reset(k, s, window, now_ns, clocks, watches)
+            if s.no_resets == 0:
+                return RESETS, 0
+        s.no_resets -= 1
     wheels, meters = array_at(s.wheels, live, WHEELS), array_at(s.meters, live, METER)
     cells = array_at(s.lines, live, lines.LINE)
     waiting, going = array_at(s.waiting, (live, 4, SIZE), BYTE), array_at(s.going, (live, 4, SIZE), BYTE)

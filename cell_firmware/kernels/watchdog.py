@@ -36,7 +36,7 @@ def times_out(k, watch):
 
 @kernel
 def periods_left(k, watch):
-    """Control periods of the cell, from the next one on, in which its watchdog doesn't time out at all events."""
+    """Control periods of the cell, the next one included, before the first in which its watchdog can time out."""
     return (watch.served_ns + k.timeout_ns - watch.instants * k.period_ns + k.period_ns - 1) // k.period_ns
 
 
