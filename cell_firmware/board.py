@@ -28,6 +28,7 @@ from cell_firmware.firmware import (
 from cell_firmware.message_drafts import array_draft
 from cell_firmware.message_tracer import TRACE, MessageTracer
 from cell_firmware.random_draws import CellStreams
+from cell_firmware.refusals import REFUSALS
 from cell_firmware.scalar import ScalarFirmware, state_problem
 from cell_firmware.stepping import NOW
 
@@ -133,6 +134,10 @@ class Board(Controller):
     def speculative(self) -> bool:
         """Whether the firmware may be stepped speculatively; the parts of a board are pure."""
         return self.firmware.speculative
+
+    def passes_on(self, state: ControllerState) -> bool:
+        """Whether a step leaves the parts of wrappers as they are: messages are not refused."""
+        return REFUSALS not in state.parts
 
     def init(self, cells: Cells) -> ControllerState:
         """The state before tick 0.

@@ -149,7 +149,11 @@ def kernel_modules(controller: Controller, effects: CellEffects) -> tuple[str, .
         if inside.links is not None and inside.links.kernels:
             modules.append(inside.links.kernels)
         if inside.firmware.kernels and has_kernels(controller):
-            modules += ["cell_firmware.kernels.payload", inside.firmware.kernels]
+            modules += [
+                "cell_firmware.kernels.payload",
+                "cell_firmware.kernels.plausibility",
+                inside.firmware.kernels,
+            ]
     if effects.sensor is not None and effects.sensor.debounce_ticks > 1:
         modules.append("cell_firmware.kernels.debounce")
     return tuple(modules)

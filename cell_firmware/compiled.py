@@ -26,6 +26,7 @@ from cell_firmware.kernels.speed_loop import LOOP
 from cell_firmware.kernels.speed_loop import WHEELS as WHEELS_RECORD
 from cell_firmware.kernels.watchdog import WATCHDOG
 from cell_firmware.random_draws import CellStreams
+from cell_firmware.refusals import REFUSALS, REFUSED, refuse
 
 Bytes = NDArray[np.uint8]
 
@@ -160,6 +161,10 @@ class CompiledController(Controller):
         """False: a step changes the state in place."""
         return False
 
+    def passes_on(self, state: ControllerState) -> bool:  # noqa: ARG002
+        """True: a step has the parts of boards alone, and refuses messages as faults' wrappers do."""
+        return True
+
     @property
     def hangs(self) -> bool:
         """Whether a cell whose program fails hangs, to be reset by its watchdog."""
@@ -217,6 +222,7 @@ class CompiledController(Controller):
         programs = ControllerState(cells, {PROGRAM: state.parts[PROGRAM]})
         if self._board.links is not None:
             inputs = inputs.with_inbox(Inbox(received, message))
+        state, inputs = self._refused(state, inputs)
         # as by the wrapper of clocks: programs are stepped in the window before the exchange
         then = StepTime(now.tick - 1, now.at_ns) if self._clocked else now
         if running == n:
@@ -242,6 +248,15 @@ class CompiledController(Controller):
         if self._watched:  # a program that raised hangs
             return after, ControllerOutputs(drive, outbox, hung=failures)
         return after, ControllerOutputs(drive, outbox, failures)
+
+    def _refused(self, state: ControllerState, inputs: Inputs) -> tuple[ControllerState, Inputs]:
+        """Refuse implausible messages, if the state has a part for their numbers."""
+        own = state.parts.get(REFUSALS)
+        if own is None or inputs.inbox is None:
+            return state, inputs
+        inbox, refused = refuse(self.firmware, inputs.inbox)
+        own = {**own, REFUSED: own[REFUSED] + refused}
+        return ControllerState(state.cells, {**state.parts, REFUSALS: own}), inputs.with_inbox(inbox)
 
     def _lines_empty(self, n: int, kind: np.dtype[Any] | None) -> tuple[Bools, Messages]:
         """Zeros for what lines carry or bring; without lines a row, as messages pass whole."""

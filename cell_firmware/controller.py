@@ -150,6 +150,10 @@ class Controller(ABC):
         """The controller to which faults can be attached: itself, but for a compiled one."""
         return self
 
+    def passes_on(self, state: ControllerState) -> bool:  # noqa: ARG002
+        """Whether a step leaves the parts of faults' wrappers in a state as they are, but for refused messages."""
+        return False
+
     @property
     def speculative(self) -> bool:
         """Whether ``step`` may be run speculatively: cells that are not due are stepped too, and rolled back."""
@@ -328,6 +332,10 @@ class ControllerWrapper(Controller):
     def wrap_state(self, inner: ControllerState, own: State) -> ControllerState:
         """Combine the wrapped controller's state and the wrapper's own, of the same cells."""
         return ControllerState(inner.cells, {**inner.parts, self.part: read_only(own)})
+
+    def idle(self, now: StepTime, state: ControllerState) -> ControllerState:
+        """Advance the wrapped controller by a control period in which no program runs."""
+        return self.wrap_state(self.controller.idle(now, self.unwrap_state(state)), state.parts[self.part])
 
     def registers(self, state: ControllerState) -> dict[str, NDArray[Any]]:
         """Return the wrapper's own registers and the registers of the wrapped controller."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.errors import StateError
+from bus.lattice import NO_TICK_LIMIT
 from bus.partition import Partition
 from bus.sensors import CameraFrame, Labels
 from bus.state import StateFields
@@ -125,10 +126,11 @@ class Shard:
         self._n = len(self.indices)
         self._effects = effects or {}
         self._faults: ShardFaults | None = None
-        if faults:
-            controller = self._attached(controller, faults).stepped
+        self._form_end_tick = NO_TICK_LIMIT
+        """First tick in which the cells may be stepped in another form."""
         self._stages = tuple(stage for stages in self._effects.values() for stage in stages)
         self._message = controller.link_type
+        self._general = controller.general
         self._state: ControllerState = controller.init(cells.select(self.indices))
         self._active: Indices | None = None  # rows still alive, once some are not
         self._retired = Counter[str]()  # what the others' boards had counted
@@ -140,7 +142,15 @@ class Shard:
         """Messages that are not read yet, a tick each, oldest first."""
 
         self._links = ShardLinks.of(partition, shard)
-        self._controller, self._kernel = self._compiled(controller, cells.sensors, threads)
+        undisturbed = controller
+        if faults:
+            from cell_firmware.faults.attach import without_faults
+
+            undisturbed = without_faults(controller)
+            self._attach(controller, faults, partition.lattice)
+        self._undisturbed = self._compiled(undisturbed, cells.sensors, threads)
+        """Controller and kernel of ticks in which no fault acts."""
+        self._controller, self._kernel = self._undisturbed
 
     def _compiled(
         self, controller: Controller, sensors: int, threads: Threads | None
@@ -158,9 +168,8 @@ class Shard:
             return controller, None
         from cell_firmware.shard_kernel import shard_kernel
 
-        return controller, shard_kernel(
-            controller, self._links, self._stages, sensors, self._period_ns, threads
-        )
+        filters = [one for name, stages in self._effects.items() if name != FAULTS for one in stages]
+        return controller, shard_kernel(controller, self._links, filters, sensors, self._period_ns, threads)
 
     def _nothing(self) -> Sent:
         """Return the messages of a tick in which nothing was sent."""
@@ -203,6 +212,8 @@ class Shard:
         if tick != self._tick + 1:
             raise FirmwareError(f"this is a bug: a shard was given tick {tick} after tick {self._tick}")
         self._tick = tick
+        if tick >= self._form_end_tick:
+            self._choose_form(tick)
         if self._kernel is not None and level is None and label is None and camera is None:
             outputs = self._step_by_kernel(self._kernel, presence, encoder_m, links)
             if outputs is not None:
@@ -238,7 +249,7 @@ class Shard:
     @property
     def is_brief(self) -> bool:
         """Whether ``step_payload`` always returns soon: programs of users, which may loop, don't promise that."""
-        kernel = self._kernel
+        kernel = self._undisturbed[1]
         return kernel is not None and kernel.is_brief
 
     def payload_codec(self, layouts: Layouts) -> PayloadCodec | None:
@@ -247,11 +258,12 @@ class Shard:
         Args:
             layouts: From a tick to the layouts of the shard's only payload each way; None: there are others.
         """
-        if self._kernel is None or layouts(0) is None:
+        kernel = self._undisturbed[1]
+        if kernel is None or layouts(0) is None:
             return None
         from cell_firmware.payload_codec import PayloadCodec
 
-        return PayloadCodec(layouts, self._kernel.buffers)
+        return PayloadCodec(layouts, kernel.buffers)
 
     def step_payload(self, codec: PayloadCodec, tick: int, payload: bytes) -> bytes | ShardOutputs | None:
         """Step all cells by one control period, from payload to payload.
@@ -263,10 +275,10 @@ class Shard:
 
         Returns:
             The drives; or the outputs, where programs failed; or None where nothing was done: ``step`` takes what
-            came, since the payload is no such one or a watchdog resets a cell.
+            came, since the payload is no such one, a watchdog resets a cell or a fault acts.
         """
         kernel = self._kernel
-        if kernel is None or tick != self._tick + 1:
+        if kernel is None or tick != self._tick + 1 or tick >= self._form_end_tick:
             return None
         self._bind(kernel)
         if not codec.read(tick, payload):
@@ -351,9 +363,9 @@ class Shard:
             return
         rows = np.flatnonzero(keep)
         self._active = rows if self._active is None else self._active[rows]
-        before = Counter(self._controller.counters(self._state))
+        before = Counter(self._general.counters(self._state))
         self._state = self._state.select(rows)
-        before.subtract(self._controller.counters(self._state))
+        before.subtract(self._general.counters(self._state))
         self._retired.update(before)
 
     def start_at(self, tick: int) -> None:
@@ -368,41 +380,61 @@ class Shard:
             site: The shard's cells.
             lattice: Lattice of the array.
         """
-        stages = tuple(fault.fault.input_filters(site, lattice, fault))
+        faults, state = self._faults, self._caught_up()
+        if faults is None:
+            from cell_firmware.faults.attach import without_faults
+
+            faults = self._attach(without_faults(self._general), (), lattice)
+        stages = faults.inject(fault, site, link_ticks=len(self._outboxes))
         if stages:
             self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
             self._stages += stages
-            self._kernel = None
-        faults = self._attached(self._controller.general)
-        if faults.inject(fault, lattice, site.seed, link_ticks=len(self._outboxes)):
-            self._controller, self._state = faults.shown(self._state, self._live_drive)
-            self._kernel = None
+        self._state = faults.begin(state, self._live_drive)
+        if self._controller is self._general:
+            self._controller = faults.controller
+        self._general = faults.controller
+        self._form_end_tick = 0
 
-    def _attached(
-        self, controller: Controller, faults: Sequence[FaultInstance[CellFault]] = ()
+    def _attach(
+        self, controller: Controller, faults: Sequence[FaultInstance[CellFault]], lattice: Lattice
     ) -> ShardFaults:
-        """Return the shard's faults; a controller carries out the first of them."""
-        if self._faults is None:
-            from cell_firmware.faults.attach import ShardFaults
+        """Have the form of the next tick decided by faults, which a controller carries out."""
+        from cell_firmware.faults.attach import ShardFaults
 
-            self._faults = ShardFaults(controller, faults, self.indices)
+        self._faults = ShardFaults(controller, faults, self._effects.get(FAULTS, ()), lattice)
+        self._form_end_tick = 0
         return self._faults
+
+    def _choose_form(self, tick: int) -> None:
+        """Step the cells with the wrappers of faults from a tick on, or in their compiled form without them."""
+        faults = self._faults
+        assert faults is not None, "this is a bug: no form ends without faults"
+        form = faults.form(tick, self._state)
+        self._form_end_tick = form.end_tick
+        controller, kernel = self._undisturbed
+        if form.wrapped or not controller.passes_on(self._state):
+            self._state = self._caught_up()
+            self._controller, self._kernel = self._general, None
+            return
+        takes = kernel is not None and not form.filtered and kernel.takes(self._state)
+        self._controller, self._kernel = controller, kernel if takes else None
+
+    def _caught_up(self) -> ControllerState:
+        """Return the state as it is where faults' wrappers carry out every tick."""
+        if self._faults is None or self._controller is self._general:
+            return self._state
+        return self._faults.catch_up(self._state, self._live_drive)
 
     def repair(self, number: int, tick: int) -> None:
         """End a fault at ``tick``; an unknown fault is ignored."""
         if self._faults is not None:
             self._faults.repair(number, tick)
+            self._form_end_tick = 0
 
     @property
     def _live_drive(self) -> Floats:
         """Drives of the live cells in the last tick."""
         return self._drive if self._active is None else self._drive[self._active]
-
-    def _shown(self) -> tuple[Controller, ControllerState]:
-        """Return the controller with the wrappers of all faults, and the state as it has it."""
-        if self._faults is None or not self._faults.apart:
-            return self._controller, self._state
-        return self._faults.shown(self._state, self._live_drive)
 
     def registers(self) -> tuple[Indices, dict[str, NDArray[Any]]]:
         """Return the registers of live cells.
@@ -411,8 +443,7 @@ class Shard:
             ``(a, 2)`` row and column of each; by name, arrays with a row for each.
         """
         cells = self._state.cells
-        controller, state = self._shown()
-        registers = controller.registers(state)
+        registers = {name: value.copy() for name, value in self._general.registers(self._state).items()}
         if self.shows_messages and self._message is not None:
             registers = {**registers, **self._sent_messages(self._message)}
         return np.stack((cells.row, cells.column), axis=1), registers
@@ -458,8 +489,7 @@ class Shard:
         for name, stages in self._effects.items():
             for stage in stages:
                 total.update({f"{name}.{what}": number for what, number in stage.counters.items()})
-        controller, state = self._shown()
-        total.update(controller.counters(state))
+        total.update(self._general.counters(self._state))
         return total
 
     @property
@@ -485,7 +515,7 @@ class Shard:
     @property
     def _memory(self) -> Mapping[str, State]:
         """State of live cells, by part of the controller."""
-        return self._state.parts
+        return self._caught_up().parts
 
     @_memory.setter
     def _memory(self, parts: Mapping[str, State]) -> None:
@@ -496,6 +526,8 @@ class Shard:
                 f"{', '.join(sorted(_arrays(state.parts)))}"
             )
         self._state = ControllerState(state.cells, {name: read_only(part) for name, part in parts.items()})
+        if self._faults is not None:
+            self._form_end_tick = 0
 
     @property
     def alive(self) -> tuple[tuple[int, int], ...]:

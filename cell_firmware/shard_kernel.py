@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final, Protocol, TypeVar, final
 
 import numpy as np
@@ -19,9 +20,12 @@ from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Bools, Cells, Floats, Messages, State
 from cell_firmware.kernels import shard as kernels
 from cell_firmware.kernels.arguments import readable
+from cell_firmware.kernels.memory import entry_address
+from cell_firmware.kernels.plausibility import is_plausible
 from cell_firmware.kernels.values import draft_words
 from cell_firmware.message_drafts import WIDE, as_written
 from cell_firmware.message_values import misfit, values_of
+from cell_firmware.refusals import REFUSALS, REFUSED, plausibility_checks
 from cell_firmware.scalar import ScalarFirmware, parameters_record, state_records
 from cell_firmware.shard_links import Indices, ShardLinks
 
@@ -196,6 +200,10 @@ class ShardKernel:
         self._bound: tuple[ControllerState, Indices | None, Bools | None] | None = None
         self.buffers = TickBuffers.of(links, self._line, sensors)
 
+    def takes(self, state: ControllerState) -> bool:
+        """Whether the kernel can step a state: if cells refuse messages, it must be able to check them."""
+        return REFUSALS not in state.parts or self._checks is not None
+
     def is_bound(self, state: ControllerState, rows: Indices | None, outboxes: Sequence[Outboxes]) -> bool:
         """Whether these are the objects that the last step left, or that were bound since."""
         bound = self._bound
@@ -220,7 +228,7 @@ class ShardKernel:
         Returns:
             The state, in that memory.
         """
-        state, hardware = self._controller.own(state)
+        state, hardware = self._controller.own(self._with_own_refusals(state))
         live, n = len(state.cells), self._cells
         program = state.parts[PROGRAM]
         if program is not self._program or len(self._records) != live:
@@ -241,6 +249,7 @@ class ShardKernel:
         self._bind_links(fields, rows, outboxes)
         self._bind_program(fields, state.cells)
         self._bind_sensors(fields)
+        self._bind_refusals(fields, state)
         fields |= {name: self._address(array) for name, array in self.buffers.by_name().items()}
         self._share(fields, live)
         self._bound = (state, rows, None if self._debounce is None else self._debounce.memory[0])
@@ -428,6 +437,26 @@ class ShardKernel:
         self._misfit = np.zeros(live, dtype=np.int64)
         fields["failed"], fields["speed"] = self._address(self._failing), self._address(self._speed)
         fields["misfit"] = self._address(self._misfit)
+
+    def _with_own_refusals(self, state: ControllerState) -> ControllerState:
+        """Return a state whose numbers of refused messages are written to by the kernel alone."""
+        if REFUSALS not in state.parts:
+            return state
+        own = state.parts[REFUSALS]
+        return ControllerState(state.cells, {**state.parts, REFUSALS: {**own, REFUSED: own[REFUSED].copy()}})
+
+    def _bind_refusals(self, fields: dict[str, Any], state: ControllerState) -> None:
+        """Have implausible messages refused, if the state has a part for their numbers."""
+        checks = self._checks
+        if REFUSALS not in state.parts or checks is None or not len(checks):
+            return
+        fields["is_plausible"] = entry_address(is_plausible)
+        fields["checks"], fields["checks_count"] = self._address(checks), len(checks)
+        fields["refused"] = self._address(state.parts[REFUSALS][REFUSED])
+
+    @cached_property
+    def _checks(self) -> NDArray[Any] | None:
+        return plausibility_checks(self._controller.firmware)
 
     def _bind_sensors(self, fields: dict[str, Any]) -> None:
         debounce = self._debounce

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Iterable
-from typing import Any, Final, TypeVar, cast, final
+from collections.abc import Iterable, Iterator
+from typing import Final, NamedTuple, TypeVar, cast, final
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from bus.errors import WireError
-from bus.fault import FaultInstance, RepairRecord, build_validators, decode_fault
-from bus.lattice import Lattice
+from bus.fault import FaultInstance, RepairRecord, build_validators, decode_fault, transition_ticks
+from bus.lattice import NO_TICK_LIMIT, Lattice
 from bus.wire.frames import Control
-from cell_firmware.controller import Controller, ControllerState, ControllerWrapper
+from cell_firmware.controller import Controller, ControllerState, ControllerWrapper, read_only
+from cell_firmware.effects.base import InputFilter, ShardContext
 from cell_firmware.effects.clock.wrapper import LocalClockWrapper
 from cell_firmware.effects.cop.wrapper import WatchdogWrapper
-from cell_firmware.faults.base import CellFault, FaultWrapper
+from cell_firmware.faults.base import CellFault, FaultFilter, FaultWrapper
 from cell_firmware.faults.execution import ClockFaultWrapper, ExecutionFaultWrapper
 from cell_firmware.faults.messages import MessageFaultWrapper
 from cell_firmware.firmware import Floats
@@ -101,20 +100,6 @@ def attach_fault(
     return controller
 
 
-def acts_on(fault: FaultInstance[CellFault], cells: NDArray[np.int64], *, talks: bool) -> bool:
-    """Whether a fault needs its wrappers around the controller of these cells, indices into the lattice.
-
-    Corrupted messages do everywhere: what a program makes of one may be implausible to cells far away.
-
-    Args:
-        fault: The fault.
-        cells: The cells.
-        talks: Whether programs send messages.
-    """
-    kinds = _kinds(fault.fault, talks=talks)
-    return MessageFaultWrapper in kinds or bool(kinds and np.isin(fault.cells, cells).any())
-
-
 def without_faults(controller: Controller) -> Controller:
     """Return a copy of a controller's wrappers without those of faults, around the same board."""
     if not isinstance(controller, ControllerWrapper):
@@ -127,96 +112,128 @@ def without_faults(controller: Controller) -> Controller:
     return copied
 
 
-def init_new_wrappers(controller: Controller, state: ControllerState, drive: Floats) -> ControllerState:
-    """Add the state of wrappers, and of their faults, that were attached to a running controller.
+class Form(NamedTuple):
+    """Form in which the cells of a shard are stepped.
 
-    Args:
-        controller: The running controller.
-        state: State of n cells.
-        drive: ``(n, 2)``, current drives.
+    Attributes:
+        wrapped: Whether a fault acts on a cell, or has an effect still: the wrappers of faults are needed.
+        filtered: Whether a fault acts on what cells sense or receive: its input filters are needed.
+        end_tick: First tick in which the form may be another, unless a fault is injected or repaired before.
     """
-    inside = controller
-    while isinstance(inside, ControllerWrapper):
-        if isinstance(inside, FaultWrapper):
-            own = state.parts.get(inside.part, {})
-            begun = inside.begin(inside.unwrap_state(state), drive).parts[inside.part]
-            if begun.keys() != own.keys():
-                state = inside.wrap_state(inside.unwrap_state(state), {**begun, **own})
-        inside = inside.controller
-    return state
+
+    wrapped: bool
+    filtered: bool
+    end_tick: int
 
 
 @final
 class ShardFaults:
-    """Faults of a run on the cells of a shard.
+    """Faults of a run on the cells of a shard, and the decision in which ticks their wrappers and filters are needed.
 
-    A controller with a fault's wrappers has no compiled form. So only a shard on whose cells a fault acts steps them
-    with its wrappers; in the others these would change nothing. Registers and counters are those of all wrappers
-    everywhere.
+    A controller with a fault's wrappers has no compiled form. In ticks in which no fault acts on a cell of the shard
+    its wrappers would only refuse implausible messages, which the compiled form does as well
+    (``cell_firmware.refusals``). It leaves the wrappers' part of the state as it is, for registers and counters.
 
     Args:
         controller: Controller with the wrappers of all faults.
         faults: The faults.
-        cells: ``(n,)``, the shard's cells, by index into the lattice.
+        filters: Their input filters.
+        lattice: Lattice of the array.
 
     Attributes:
-        stepped: Controller to step the cells with.
+        controller: Controller with the wrappers of all faults.
     """
 
     def __init__(
-        self, controller: Controller, faults: Iterable[FaultInstance[CellFault]], cells: NDArray[np.int64]
+        self,
+        controller: Controller,
+        faults: Iterable[FaultInstance[CellFault]],
+        filters: Iterable[InputFilter],
+        lattice: Lattice,
     ) -> None:
+        self.controller = controller
         self._faults = {one.number: one for one in faults}
-        self._cells = cells
-        self._talks = controller.message_type is not None
-        self._whole = self.stepped = controller
-        if self._faults and not self._acts(self._faults.values()):
-            self.stepped = without_faults(controller)
+        self._filters = [one for one in filters if isinstance(one, FaultFilter)]
+        self._lattice = lattice
 
-    def _acts(self, faults: Iterable[FaultInstance[Any]]) -> bool:
-        return any(acts_on(fault, self._cells, talks=self._talks) for fault in faults)
+    @property
+    def _wrappers(self) -> Iterator[FaultWrapper]:
+        inside = self.controller
+        while isinstance(inside, ControllerWrapper):
+            if isinstance(inside, FaultWrapper):
+                yield inside
+            inside = inside.controller
+
+    def form(self, tick: int, state: ControllerState) -> Form:
+        """Decide in which form the cells are stepped from a tick on.
+
+        Args:
+            tick: The tick.
+            state: Of the live cells, before it.
+        """
+        cells = self._lattice.find(state.cells.row, state.cells.column)
+        wrapped = any(
+            one.acts_at(tick, cells) or not one.is_settled(tick, state.parts[one.part])
+            for one in self._wrappers
+        )
+        filtered = any(one.acts_at(tick) for one in self._filters)
+        end_tick = tick + 1  # what a fault has left behind ends in any tick
+        if not (wrapped or filtered):
+            later = (one for one in transition_ticks([*self._faults.values()]) if one > tick)
+            end_tick = min(later, default=NO_TICK_LIMIT)
+        return Form(wrapped, filtered, end_tick)
+
+    def catch_up(self, state: ControllerState, drive: Floats) -> ControllerState:
+        """Return the state after ticks in which the wrappers were left out.
+
+        Args:
+            state: Of n cells.
+            drive: ``(n, 2)``, their current drives.
+        """
+        parts = dict(state.parts)
+        for one in self._wrappers:
+            parts[one.part] = read_only(one.catch_up(parts[one.part], drive))
+        return ControllerState(state.cells, parts)
 
     def inject(
-        self, fault: FaultInstance[CellFault], lattice: Lattice, seed: int, *, link_ticks: int
-    ) -> bool:
-        """Inject a fault.
+        self, fault: FaultInstance[CellFault], site: ShardContext, *, link_ticks: int
+    ) -> tuple[InputFilter, ...]:
+        """Inject a fault; ``begin`` then adds its state.
 
         Args:
             fault: The fault.
-            lattice: Lattice of the array.
-            seed: The scene's.
+            site: The shard's cells.
             link_ticks: Ticks after which a message is read.
 
         Returns:
-            Whether ``stepped`` is another controller now, which takes a state from ``shown``.
+            Its input filters.
         """
+        filters = tuple(fault.fault.input_filters(site, self._lattice, fault))
         self._faults[fault.number] = fault
-        if not self.apart and not self._acts(self._faults.values()):
-            self._whole = without_faults(self._whole)  # the other one stays as it is
-        self._whole = attach_fault(self._whole, lattice, seed, fault, link_ticks=link_ticks)
-        if not self._acts((fault,)):
-            return False
-        self.stepped = self._whole
-        return True
+        self._filters += [one for one in filters if isinstance(one, FaultFilter)]
+        self.controller = attach_fault(
+            self.controller, self._lattice, site.seed, fault, link_ticks=link_ticks
+        )
+        return filters
+
+    def begin(self, state: ControllerState, drive: Floats) -> ControllerState:
+        """Add the state of wrappers, and of their faults, that were attached to the controller of running cells.
+
+        Args:
+            state: Of n cells.
+            drive: ``(n, 2)``, their current drives.
+        """
+        for one in self._wrappers:
+            own = state.parts.get(one.part, {})
+            begun = one.begin(one.unwrap_state(state), drive).parts[one.part]
+            if begun.keys() != own.keys():
+                state = one.wrap_state(one.unwrap_state(state), {**begun, **own})
+        return state
 
     def repair(self, number: int, tick: int) -> None:
         """End a fault at ``tick``; an unknown fault is ignored."""
         if number in self._faults:
             self._faults[number].end_tick = tick
-
-    def shown(self, state: ControllerState, drive: Floats) -> tuple[Controller, ControllerState]:
-        """Return the controller with all wrappers, and a state of it.
-
-        Args:
-            state: Of n cells, as the controller has it that is stepped.
-            drive: ``(n, 2)``, their current drives.
-        """
-        return self._whole, init_new_wrappers(self._whole, state, drive)
-
-    @property
-    def apart(self) -> bool:
-        """Whether the controller that is stepped lacks wrappers."""
-        return self.stepped is not self._whole
 
 
 def _kinds(fault: CellFault, *, talks: bool) -> list[type[FaultWrapper]]:

@@ -14,7 +14,7 @@ from bus.fault import FaultInstance, FaultSpec, Problem
 from bus.lattice import Lattice
 from cell_firmware.controller import Controller, ControllerState, ControllerWrapper
 from cell_firmware.effects.base import InputFilter, ShardContext
-from cell_firmware.firmware import Bools, Cells, Floats, Inputs
+from cell_firmware.firmware import Bools, Cells, Floats, Inputs, State
 
 if TYPE_CHECKING:
     from cell_firmware.faults.message_fault import MessageContext, MessageFault
@@ -118,9 +118,11 @@ class FaultFilter(InputFilter):
 
     def apply(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
         """Filter the inputs while the fault is active or has messages left to deliver."""
-        if self._injected.start_tick <= tick < self._injected.end_tick + self._lingers:
-            return self.apply_active(tick, inputs, alive)
-        return inputs
+        return self.apply_active(tick, inputs, alive) if self.acts_at(tick) else inputs
+
+    def acts_at(self, tick: int) -> bool:
+        """Whether the fault is active in a tick or has messages left to deliver."""
+        return self._injected.start_tick <= tick < self._injected.end_tick + self._lingers
 
     @abstractmethod
     def apply_active(self, tick: int, inputs: Inputs, alive: NDArray[np.int64] | slice) -> Inputs:
@@ -180,3 +182,37 @@ class FaultWrapper(ControllerWrapper):
             inner: State of the wrapped controller.
             drive: ``(n, 2)``, current drives; None: no drives yet.
         """
+
+    def acts_at(self, tick: int, cells: NDArray[np.int64]) -> bool:
+        """Whether a fault acts on cells in a tick, or its repair does.
+
+        Args:
+            tick: The tick.
+            cells: The cells, by index into the lattice.
+        """
+        return any(
+            (fault.active_at(tick) or tick == fault.end_tick) and self.affects(fault, cells)
+            for fault in self.faults
+        )
+
+    def affects(self, fault: FaultInstance[CellFault], cells: NDArray[np.int64]) -> bool:
+        """Whether the wrapper does anything to these cells while a fault is active; see ``acts_at``."""
+        return bool(np.isin(fault.cells, cells).any())
+
+    def is_settled(self, tick: int, own: State) -> bool:  # noqa: ARG002
+        """Whether no fault that is over has an effect in a tick or later: the wrapper can be left out from then on.
+
+        Args:
+            tick: The tick.
+            own: State of the wrapper before it.
+        """
+        return True
+
+    def catch_up(self, own: State, drive: Floats) -> State:  # noqa: ARG002
+        """Return the wrapper's state after ticks in which it was left out.
+
+        Args:
+            own: State before them.
+            drive: ``(n, 2)``, current drives.
+        """
+        return own

@@ -75,6 +75,14 @@ class ClockFaultWrapper(FaultWrapper):
             ControllerOutputs(drive, outputs.outbox, outputs.failures, outputs.served, outputs.hung),
         )
 
+    def is_settled(self, tick: int, own: State) -> bool:  # noqa: ARG002
+        """Whether all cells run in their next period."""
+        return bool(own["runs"].all())
+
+    def catch_up(self, own: State, drive: Floats) -> State:
+        """Return the state with the current drives."""
+        return {**own, "drive": drive.copy()}
+
     def counters(self, state: ControllerState) -> dict[str, int]:
         """Return the number of skipped periods."""
         skipped = int(state.parts[self.part]["skipped"].sum())
@@ -174,6 +182,15 @@ class ExecutionFaultWrapper(FaultWrapper):
             self.wrap_state(inner, after),
             ControllerOutputs(drive, outputs.outbox, outputs.failures, served, outputs.hung),
         )
+
+    def is_settled(self, tick: int, own: State) -> bool:
+        """Whether all programs run, none is about to restart, and all may read the messages of the tick."""
+        waits = own["stopped"] | own["reset"] | (own["deaf_until"] > tick - self.start_tick)
+        return not waits.any()
+
+    def catch_up(self, own: State, drive: Floats) -> State:
+        """Return the state with the current drives."""
+        return {**own, "drive": drive.copy()}
 
     def counters(self, state: ControllerState) -> dict[str, int]:
         """Return the periods in which programs were halted, by kind of fault, and the number of restarts."""

@@ -43,16 +43,19 @@ class MessageFault(ABC):
 
     Args:
         injected: The fault.
+        cells: Cells of which it changes messages, by index into the lattice.
 
     Attributes:
         injected: The fault.
+        cells: Cells of which it changes messages, by index into the lattice.
     """
 
     counts: ClassVar[str]
     """Name of the counter of changed messages."""
 
-    def __init__(self, injected: FaultInstance[FaultSpec]) -> None:
+    def __init__(self, injected: FaultInstance[FaultSpec], cells: Ints) -> None:
         self.injected = injected
+        self.cells = cells
 
     def begin(self, cells: int) -> State:  # noqa: ARG002
         """Return the initial state: arrays by name, with a row a cell."""

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from bus.fault import FaultInstance
 from bus.lattice import Lattice
-from bus.wire.message_type import overlong
 from cell_firmware.board import Board
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime
 from cell_firmware.faults.base import CellFault, FaultWrapper
 from cell_firmware.faults.message_fault import MessageContext, MessageFault
-from cell_firmware.firmware import Floats, Inbox, Inputs, opaque_view
+from cell_firmware.firmware import Floats, Inputs
+from cell_firmware.refusals import REFUSALS, REFUSED, refuse
 
 Ints = NDArray[np.int64]
 
@@ -30,8 +30,8 @@ class MessageFaultWrapper(FaultWrapper):
     Innermost wrapper: a halted program neither receives nor sends.
     """
 
-    part = "words"
-    shown = ("refused",)
+    part = REFUSALS
+    shown = (REFUSED,)
 
     def __init__(
         self, controller: Controller, lattice: Lattice, seed: int = 0, *, lag: int = 0, link_ticks: int = 1
@@ -59,7 +59,7 @@ class MessageFaultWrapper(FaultWrapper):
         n = len(inner.cells)
         own: dict[str, NDArray[np.generic]] = {
             "place": self.lattice.find(inner.cells.row, inner.cells.column),
-            "refused": np.zeros(n, dtype=np.int64),
+            REFUSED: np.zeros(n, dtype=np.int64),
         }
         for tamper in self._tampers:
             own[_counts(tamper)] = np.zeros(n, dtype=np.int64)
@@ -88,8 +88,9 @@ class MessageFaultWrapper(FaultWrapper):
             )
             own.update({_named(tamper, name): array for name, array in memory.items()})
             own[_counts(tamper)] = own.get(_counts(tamper), 0) + changed
-        inbox, refused = self._checked(inbox)
-        own["refused"] = own["refused"] + refused
+        assert self._program is not None, "this is a bug: words of no program"
+        inbox, refused = refuse(self._program, inbox)
+        own[REFUSED] = own[REFUSED] + refused
         return self.wrap_state(inner, own), replace(inputs, inbox=inbox)
 
     def compute(
@@ -105,21 +106,9 @@ class MessageFaultWrapper(FaultWrapper):
                 own[_counts(tamper)] = own.get(_counts(tamper), 0) + changed
         return self.wrap_state(inner, own), outputs
 
-    def idle(self, now: StepTime, state: ControllerState) -> ControllerState:
-        """Advance the wrapped controller by a control period in which no program runs."""
-        return self.wrap_state(self.controller.idle(now, self.unwrap_state(state)), state.parts[self.part])
-
-    def _checked(self, inbox: Inbox) -> tuple[Inbox, Ints]:
-        """Drop implausible messages; return the others, and the number refused by each cell."""
-        assert self._program is not None, "this is a bug: words of no program"
-        broken = overlong(inbox.message, inbox.message.dtype)
-        refused = inbox.received & (broken | ~self._program.accepts(inbox.message))
-        if not refused.any():
-            return inbox, np.zeros(len(refused), dtype=np.int64)
-        message = np.array(inbox.message)
-        whole = opaque_view(message)
-        whole[refused] = np.zeros((), dtype=whole.dtype)
-        return Inbox(inbox.received & ~refused, message), refused.sum(axis=1)
+    def affects(self, fault: FaultInstance[CellFault], cells: Ints) -> bool:
+        """Whether a fault changes messages of these cells; refusals need no wrapper."""
+        return any(one.injected is fault and np.isin(one.cells, cells).any() for one in self._tampers)
 
     def counters(self, state: ControllerState) -> dict[str, int]:
         """Return the numbers of refused messages, and of changed messages by kind of fault."""
@@ -127,7 +116,7 @@ class MessageFaultWrapper(FaultWrapper):
         for tamper in self._tampers:
             name = f"faults.{tamper.injected.fault.kind_name}.{tamper.counts}"
             counters[name] = counters.get(name, 0) + int(np.sum(own.get(_counts(tamper), 0)))
-        counters["faults.words.refused"] = int(own["refused"].sum())
+        counters[f"faults.{self.part}.{REFUSED}"] = int(own[REFUSED].sum())
         return {**counters, **super().counters(state)}
 
 

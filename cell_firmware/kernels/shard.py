@@ -18,7 +18,7 @@ from cell_firmware.kernels.clock import CLOCK, count_before, due
 from cell_firmware.kernels.debounce import debounced
 from cell_firmware.kernels.draws import draw_cell
 from cell_firmware.kernels.jit import INTEGER, entry, inlined, kernel, read, written
-from cell_firmware.kernels.memory import array_at, clear_memory, copy_memory, on_stack, part_of
+from cell_firmware.kernels.memory import array_at, call_at, clear_memory, copy_memory, on_stack, part_of
 from cell_firmware.kernels.program import MOST_SENSORS, inputs_type, outputs_type
 from cell_firmware.kernels.speed_loop import LOOP, WHEELS
 from cell_firmware.kernels.values import (
@@ -115,6 +115,10 @@ SHARD = np.dtype(
             "readings",  # (n, sensors)
             "ppb",  # (n,): errors of the clocks
             "phase_ns",  # (n,)
+            "is_plausible",  # address of plausibility.is_plausible; 0: no message is refused
+            "checks",  # (checks_count,) of CHECK
+            "checks_count",
+            "refused",  # (a,), messages refused by each cell
         )
     ]
 )
@@ -372,6 +376,8 @@ def run_tick(tick, shards):
     # numbers of records are read here: after every write to an array the compiler would read them again
     messages, metered, has_lines, sensors = s.messages != 0, k.meter, k.lines, s.sensors
     debounces = s.debounce_ticks != 1
+    is_plausible, checks, checks_count = s.is_plausible, s.checks, s.checks_count
+    refused, brought_at = array_at(s.refused, live, LONG), s.brought
     # a behavioural cell has none of these parts
     begins = k.clock or k.watchdog or has_lines
     ends = begins or k.wheels
@@ -407,6 +413,14 @@ def run_tick(tick, shards):
             for side in range(4):
                 received[side] = line_brings[side]
                 copy_memory(brought[side], message[side])
+        if is_plausible:
+            for side in range(4):
+                if received[side]:
+                    copy_memory(message[side], brought[side])
+                    if not call_at(is_plausible, (checks, checks_count, brought_at + side * SIZE, SIZE)):
+                        received[side] = False
+                        clear_memory(message[side])
+                        refused[i] += 1
         for side in range(4):
             says[side] = False
             clear_memory(draft_bits[side])

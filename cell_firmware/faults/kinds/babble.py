@@ -46,7 +46,7 @@ class _Noise(MessageFault):
         from cell_firmware.effects.serial.lines import SerialLines
         from cell_firmware.faults.payload_bytes import MessageBytes, random_bytes_each
 
-        super().__init__(injected)
+        super().__init__(injected, injected.cells)
         lattice, links = talk.lattice, talk.links
         self._line: np.dtype[Any] = talk.message if links is None else links.line
         self._whole = MessageBytes(talk.message)

@@ -79,11 +79,11 @@ class _Lies(MessageFault):
     counts = "messages"
 
     def __init__(self, fault: LieFault, talk: MessageContext, injected: FaultInstance[CellFault]) -> None:
-        super().__init__(injected)
-        self._mode, self._by = fault.mode, 0.0 if fault.by is None else fault.by
-        self._fields = [leaf for leaf in _numbers(talk.message) if fault.field in (None, leaf.name)]
         lattice = talk.lattice
         affected = links_of(lattice, injected.cells, incoming=False, outgoing=True)
+        super().__init__(injected, np.unique(affected[:, 0]))
+        self._mode, self._by = fault.mode, 0.0 if fault.by is None else fault.by
+        self._fields = [leaf for leaf in _numbers(talk.message) if fault.field in (None, leaf.name)]
         self._message = talk.message
         self._affected = np.zeros((len(lattice), len(SIDES)), dtype=np.bool_)
         self._affected[affected[:, 0], affected[:, 1]] = True
