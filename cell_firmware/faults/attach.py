@@ -197,7 +197,7 @@ class ShardFaults:
 
     def inject(
         self, fault: FaultInstance[CellFault], site: ShardContext, *, link_ticks: int
-    ) -> tuple[InputFilter, ...]:
+    ) -> tuple[FaultFilter, ...]:
         """Inject a fault; ``begin`` then adds its state.
 
         Args:
@@ -210,7 +210,7 @@ class ShardFaults:
         """
         filters = tuple(fault.fault.input_filters(site, self._lattice, fault))
         self._faults[fault.number] = fault
-        self._filters += [one for one in filters if isinstance(one, FaultFilter)]
+        self._filters += filters
         self.controller = attach_fault(
             self.controller, self._lattice, site.seed, fault, link_ticks=link_ticks
         )
