@@ -48,7 +48,7 @@ class Lockstep:
     """Steps shards in turn and carries border messages from tick k to tick k + 1.
 
     The shards' controller is the product's own. With ``live``, faults may be injected later, and serial lines
-    go byte by byte.
+    go byte by byte. With ``link_ticks``, messages are read so many ticks later.
     """
 
     def __init__(
@@ -63,11 +63,12 @@ class Lockstep:
         *,
         live: bool = False,
         threads: Threads | None = None,
+        link_ticks: int = 1,
     ) -> None:
         self.partition = partition
         self.lattice = partition.lattice
         asked = CellEffects() if effects is None else effects
-        injected = CellFaults(self.lattice, tuple(faults), seed) if faults else None
+        injected = CellFaults(self.lattice, tuple(faults), seed, link_ticks) if faults else None
         tick_ns = SPEC.period_ns if clocks is None else clocks.clocks.window_ns
         self.shards: list[Shard] = []
         self.sites: list[ShardContext] = []
@@ -89,9 +90,19 @@ class Lockstep:
             if injected is not None:
                 stages[FAULTS] = injected.stages(site)
             self.shards.append(
-                Shard(controller, cells_of(self.lattice), partition, s, stages, faults, threads=threads)
+                Shard(
+                    controller,
+                    cells_of(self.lattice),
+                    partition,
+                    s,
+                    stages,
+                    faults,
+                    link_ticks=link_ticks,
+                    threads=threads,
+                )
             )
         self.links: list[BoundaryMessages | None] = [None] * partition.count
+        self._later = [self.links] * (link_ticks - 1)
         self.tick = 0
         self.failures: list[FirmwareFailed] = []
 
@@ -108,7 +119,8 @@ class Lockstep:
             drive[own] = out.drive
             self.failures += out.failures
             outputs.append(out)
-        self.links = [self._incoming(s, outputs) for s in range(self.partition.count)]
+        self._later.append([self._incoming(s, outputs) for s in range(self.partition.count)])
+        self.links = self._later.pop(0)
         self.tick += 1
         return drive
 
