@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from cell_firmware.kernels.jit import INTEGER, entry, kernel
-from cell_firmware.kernels.lines import read_number
 from cell_firmware.kernels.memory import array_at
 
 UNSIGNED, SIGNED, FLOAT, BOOLEAN = 0, 1, 2, 3
@@ -29,40 +28,54 @@ CHECK = np.dtype(
 
 
 @kernel
-def number_at(data, one):
-    """Return the number of a check as float64."""
-    number = read_number(data, one.start, one.size)
-    if one.kind == FLOAT:
-        if one.size == 4:
-            return np.float64(np.int32(number).view(np.float32))
-        return np.int64(number).view(np.float64)
-    if one.kind == BOOLEAN:
+def signed_at(address, size):
+    """Return a signed little-endian number of 1, 2, 4 or 8 bytes."""
+    if size == 8:
+        return array_at(address, 1, np.int64)[0]
+    if size == 4:
+        return np.int64(array_at(address, 1, np.int32)[0])
+    if size == 2:
+        return np.int64(array_at(address, 1, np.int16)[0])
+    return np.int64(array_at(address, 1, np.int8)[0])
+
+
+@kernel
+def number_at(kind, address, size):
+    """Return a number of a message as float64."""
+    if kind == FLOAT:
+        if size == 8:
+            return array_at(address, 1, np.float64)[0]
+        return np.float64(array_at(address, 1, np.float32)[0])
+    number = signed_at(address, size)
+    if kind == SIGNED:
+        return np.float64(number)
+    if kind == BOOLEAN:
         return np.float64(number != 0)
-    unused = 64 - 8 * one.size
-    if one.kind == SIGNED:
-        return np.float64(number << unused >> unused)
+    if size < 8:
+        number &= (1 << (8 * size)) - 1
     return np.float64(np.uint64(number))
 
 
-@entry(INTEGER, INTEGER, INTEGER, INTEGER)
-def is_plausible(checks, count, message, size):
+@entry(INTEGER, INTEGER, INTEGER)
+def is_plausible(checks, count, message):
     """Whether a message is plausible.
 
     Args:
         checks: Address of ``(count,)`` of ``CHECK``.
         count: How many there are.
         message: Address of its bytes.
-        size: How many there are.
 
     Returns:
         1 or 0.
     """
-    each, data = array_at(checks, count, CHECK), array_at(message, size, np.uint8)
+    each = array_at(checks, count, CHECK)
     for c in range(count):
         one = each[c]
-        if one.length_size and read_number(data, one.length_start, one.length_size) <= one.place:
-            continue
-        number = number_at(data, one)
+        if one.length_size:
+            length = number_at(UNSIGNED, message + one.length_start, one.length_size)
+            if length <= one.place:
+                continue
+        number = number_at(one.kind, message + one.start, one.size)
         if not (number >= one.low and number <= one.high):  # which no NaN is
             return 0
     return 1

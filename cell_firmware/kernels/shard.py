@@ -417,7 +417,7 @@ def run_tick(tick, shards):
             for side in range(4):
                 if received[side]:
                     copy_memory(message[side], brought[side])
-                    if not call_at(is_plausible, (checks, checks_count, brought_at + side * SIZE, SIZE)):
+                    if not call_at(is_plausible, (checks, checks_count, brought_at + side * SIZE)):
                         received[side] = False
                         clear_memory(message[side])
                         refused[i] += 1

@@ -94,7 +94,9 @@ SCRIPTS: dict[str, Smoke] = {
     ),
     "plant/emerging_friction.py": Smoke("--seeds 2 --quick", rf"8 +{N} \+- {N} +{N} +{N} +{N}"),
     "plant/exact_against_scipy.py": Smoke("--turns 1 --runs 1", rf"exact is {N} times as fast"),
-    "plant/faults_cost.py": Smoke("--turns 1", rf"partition +{N} us +{N} \({N} to {N}\)"),
+    "plant/faults_cost.py": Smoke(
+        "--turns 1", rf"lie +acts +{N} us, +{N} +elsewhere +{N} us, +{N} +over +{N} us, +{N}"
+    ),
     "plant/many_parcels.py": Smoke(
         "--turns 1 --parcels 25 --side 150", rf"plant, ticks +{N} +{N} +{N} +{N} +{N} +{N}"
     ),

@@ -92,7 +92,7 @@ def test_a_kernel_accepts_the_messages_that_a_program_accepts(ranges: dict[str, 
     assert checks is not None
     data = message_bytes(messages)
     found = [
-        [bool(is_plausible(checks.ctypes.data, len(checks), data[i, side].ctypes.data, MESSAGE.itemsize))]
+        [bool(is_plausible(checks.ctypes.data, len(checks), data[i, side].ctypes.data))]
         for i in range(len(messages))
         for side in range(4)
     ]
