@@ -380,7 +380,7 @@ class Shard:
             site: The shard's cells.
             lattice: Lattice of the array.
         """
-        faults, state = self._faults, self._caught_up()
+        faults = self._faults
         if faults is None:
             from cell_firmware.faults.attach import without_faults
 
@@ -389,7 +389,7 @@ class Shard:
         if stages:
             self._effects = {**self._effects, FAULTS: (*self._effects.get(FAULTS, ()), *stages)}
             self._stages += stages
-        self._state = faults.begin(state, self._live_drive)
+        self._state = faults.begin(self._state, self._live_drive)
         if self._controller is self._general:
             self._controller = faults.controller
         self._general = faults.controller

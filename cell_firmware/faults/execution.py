@@ -75,10 +75,6 @@ class ClockFaultWrapper(FaultWrapper):
             ControllerOutputs(drive, outputs.outbox, outputs.failures, outputs.served, outputs.hung),
         )
 
-    def is_settled(self, tick: int, own: State) -> bool:  # noqa: ARG002
-        """Whether all cells run in their next period."""
-        return bool(own["runs"].all())
-
     def catch_up(self, own: State, drive: Floats) -> State:
         """Return the state with the current drives."""
         return {**own, "drive": drive.copy()}

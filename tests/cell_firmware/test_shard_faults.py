@@ -101,7 +101,8 @@ def array(
 ) -> Any:
     """Cells in a row that diffuse speeds."""
     parameters: dict[str, Any] = {
-        "heat_diffusion": {"initial": [{"cell": [0, 0], "speed_m_s": [0.4, -0.2]}], "ttl_periods": 3}
+        "heat_diffusion": {"initial": [{"cell": [0, 0], "speed_m_s": [0.4, -0.2]}], "ttl_periods": 3},
+        "average_consensus": {"values": [{"columns": [0, 0], "value": 1.0}]},
     }
     firmware: Firmware = Fragile(NoParameters())
     if program != "fragile":
@@ -214,9 +215,12 @@ def test_cells_far_from_a_fault_refuse_messages_in_their_compiled_form(lockstep:
     for tick in range(END):
         step(run, tick)
         assert disturbed(run) <= {2}
+        if tick == END - 5:
+            before = run.shards[1].registers()[1]["words.refused"]
     refused = [shard.counters()["faults.words.refused"] for shard in run.shards]
     assert min(refused[1], refused[3]) > 10
     assert run.shards[1].registers()[1]["words.refused"].tolist() == [refused[1]]
+    assert before < refused[1], "what was read before doesn't change"
 
 
 def test_programs_with_a_check_of_their_own_are_stepped_compiled_but_not_in_one_call(lockstep: Any) -> None:
@@ -228,6 +232,17 @@ def test_programs_with_a_check_of_their_own_are_stepped_compiled_but_not_in_one_
         assert compiled == [cell != 2 or not BEGIN <= tick <= END for cell in range(6)]
     assert shown(run) == shown(reference)
     assert shown(run)[0]["faults.words.refused"] > 20
+
+
+def test_programs_without_a_compiled_form_step_alike(lockstep: Any) -> None:
+    for name in ("noise", "hang"):
+        reference, run = (
+            array(lockstep, n, faults_of(name), "none", program="average_consensus") for n in (1, 6)
+        )
+        on_arrays(reference)
+        for tick in range(END + 10):
+            assert step(reference, tick) == step(run, tick), tick
+        assert shown(run) == shown(reference)
 
 
 @pytest.mark.parametrize("effects", ["shared", "hc11"])
@@ -257,12 +272,15 @@ def test_a_checkpoint_before_while_and_after_a_fault_acts_is_as_on_arrays(
         drives.append(step(run, tick))
         assert drives[-1] == step(reference, tick)
     for tick, (saved, links) in taken.items():
-        again = array(lockstep, 3, faults_of(name), effects)
-        for shard, data in zip(again.shards, saved, strict=True):
-            load_state(shard, data)
-        again.links, again.tick = links, tick
-        assert [step(again, later) for later in range(tick, TICKS)] == drives[tick:]
-        assert shown(again) == shown(reference)
+        for again in (
+            array(lockstep, 3, faults_of(name), effects),
+            run,
+        ):  # another one, and this one goes back
+            for shard, data in zip(again.shards, saved, strict=True):
+                load_state(shard, data)
+            again._later[:], again.links, again.tick = [], links, tick
+            assert [step(again, later) for later in range(tick, TICKS)] == drives[tick:]
+            assert shown(again) == shown(reference)
 
 
 @pytest.mark.parametrize("name", ["hang", "lies", "damaged messages"])
