@@ -95,6 +95,38 @@ def test_all_at_once_do_alike_however_the_scene_is_cut(
     assert kinds - {"words", "restarts"} == {fault["kind"] for fault in FAULTS}
 
 
+COME_AND_GO: list[dict[str, Any]] = [
+    {"kind": "lie", "cell": [0, 1], "mode": "factor", "by": 1.5, "at_s": 0.05, "until_s": 0.12},
+    {"kind": "babble", "cell": [2, 2], "at_s": 0.08, "until_s": 0.14},
+    {"kind": "hang", "cell": [1, 1], "at_s": 0.09, "until_s": 0.15},
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effects", [{}, {"clock": {}, "serial": {"baud": 41_667}}], ids=["whole", "board"])
+@pytest.mark.parametrize("link_ticks", [1, 2])
+def test_cells_that_are_compiled_but_while_faults_act_do_alike_however_the_scene_is_cut(
+    effects: dict[str, Any], link_ticks: int, tmp_path: Path
+) -> None:
+    """With relayed links and a process each, ticks without faults go from payload to payload."""
+    changes = {
+        "duration_s": 0.25,
+        "array.rows": 3,
+        "array.columns": 3,
+        "cells.parameters.held": [{"columns": [0, 0], "speed_m_s": [0.3, 0.0]}],
+        "parcels": [{"size_m": [0.3, 0.25], "mass_kg": 2.0, "position_m": [0.0, 0.03]}],
+        "faults": COME_AND_GO,
+        "effects": effects,
+        "bus.link_ticks": link_ticks,
+    }
+    scene = load_scene("heat", [Override(tuple(key.split(".")), value, "") for key, value in changes.items()])
+    summaries = [ran(scene, way, tmp_path) for way in (WAYS[0], EACH[2], EACH[0])]
+    assert {one.status for one in summaries} == {"ok"}
+    assert len({one.digest for one in summaries}) == 1
+    assert summaries[0].effects["faults.words.refused"] > 0
+    assert all(one.effects == summaries[0].effects for one in summaries)
+
+
 NOTHING = """
 import json, sys, tempfile
 from pathlib import Path
