@@ -21,7 +21,7 @@ from cell_firmware.firmware import Bools, Cells, Floats, Messages, State
 from cell_firmware.kernels import shard as kernels
 from cell_firmware.kernels.arguments import readable
 from cell_firmware.kernels.memory import entry_address
-from cell_firmware.kernels.plausibility import is_plausible
+from cell_firmware.kernels.plausibility import refuse
 from cell_firmware.kernels.values import draft_words
 from cell_firmware.message_drafts import WIDE, as_written
 from cell_firmware.message_values import misfit, values_of
@@ -450,7 +450,7 @@ class ShardKernel:
         checks = self._checks
         if REFUSALS not in state.parts or checks is None or not len(checks):
             return
-        fields["is_plausible"] = entry_address(is_plausible)
+        fields["refuse"] = entry_address(refuse)
         fields["checks"], fields["checks_count"] = self._address(checks), len(checks)
         fields["refused"] = self._address(state.parts[REFUSALS][REFUSED])
 

@@ -1,6 +1,6 @@
-"""Plausibility of a received message, as ``cell_firmware.refusals.refuse`` defines it.
+"""Refusal of implausible messages, as ``cell_firmware.refusals.refuse`` defines it.
 
-Programs' kernels call it by its address (``memory.call_at``): it is compiled once.
+Programs' kernels call ``refuse`` by its address (``memory.call_at``): it is compiled once.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from cell_firmware.kernels.jit import INTEGER, entry, kernel
-from cell_firmware.kernels.memory import array_at
+from cell_firmware.kernels.memory import array_at, clear_memory
 
 UNSIGNED, SIGNED, FLOAT, BOOLEAN = 0, 1, 2, 3
 
@@ -56,26 +56,40 @@ def number_at(kind, address, size):
     return np.float64(np.uint64(number))
 
 
-@entry(INTEGER, INTEGER, INTEGER)
-def is_plausible(checks, count, message):
-    """Whether a message is plausible.
-
-    Args:
-        checks: Address of ``(count,)`` of ``CHECK``.
-        count: How many there are.
-        message: Address of its bytes.
-
-    Returns:
-        1 or 0.
-    """
-    each = array_at(checks, count, CHECK)
-    for c in range(count):
-        one = each[c]
+@kernel
+def is_plausible(checks, message):
+    """Whether the numbers of a message at an address lie in their ranges, ``(c,)`` of ``CHECK``."""
+    for c in range(len(checks)):
+        one = checks[c]
         if one.length_size:
             length = number_at(UNSIGNED, message + one.length_start, one.length_size)
             if length <= one.place:
                 continue
         number = number_at(one.kind, message + one.start, one.size)
         if not (number >= one.low and number <= one.high):  # which no NaN is
-            return 0
-    return 1
+            return False
+    return True
+
+
+@entry(INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
+def refuse(checks, count, received, message, size):
+    """Drop the implausible messages of a cell.
+
+    Args:
+        checks: Address of ``(count,)`` of ``CHECK``.
+        count: How many there are.
+        received: Address of ``(4,)`` bool, the sides with a message; is made false where it is dropped.
+        message: Address of ``(4, size)`` uint8, the messages; is made zero there.
+        size: Bytes of a message.
+
+    Returns:
+        How many were dropped.
+    """
+    each, there = array_at(checks, count, CHECK), array_at(received, 4, np.bool_)
+    messages, refused = array_at(message, (4, size), np.uint8), 0
+    for side in range(4):
+        if there[side] and not is_plausible(each, message + side * size):
+            there[side] = False
+            clear_memory(messages[side])
+            refused += 1
+    return refused

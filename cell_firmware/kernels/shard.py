@@ -115,7 +115,7 @@ SHARD = np.dtype(
             "readings",  # (n, sensors)
             "ppb",  # (n,): errors of the clocks
             "phase_ns",  # (n,)
-            "is_plausible",  # address of plausibility.is_plausible; 0: no message is refused
+            "refuse",  # address of plausibility.refuse; 0: no message is refused
             "checks",  # (checks_count,) of CHECK
             "checks_count",
             "refused",  # (a,), messages refused by each cell
@@ -376,8 +376,7 @@ def run_tick(tick, shards):
     # numbers of records are read here: after every write to an array the compiler would read them again
     messages, metered, has_lines, sensors = s.messages != 0, k.meter, k.lines, s.sensors
     debounces = s.debounce_ticks != 1
-    is_plausible, checks, checks_count = s.is_plausible, s.checks, s.checks_count
-    refused, brought_at = array_at(s.refused, live, LONG), s.brought
+    refuses = s.refuse != 0
     # a behavioural cell has none of these parts
     begins = k.clock or k.watchdog or has_lines
     ends = begins or k.wheels
@@ -409,18 +408,18 @@ def run_tick(tick, shards):
                 k, link, i, tick, now_ns, clocks, watches, cells, waiting, there_ns, there,
                 line_received, line, line_brings, brought,
             )  # fmt: skip
-        if has_lines:
+        if refuses:
+            if not has_lines:
+                for side in range(4):
+                    line_brings[side] = received[side]
+                    copy_memory(message[side], brought[side])
+            array_at(s.refused, live, LONG)[i] += call_at(
+                s.refuse, (s.checks, s.checks_count, s.line_brings, s.brought, SIZE)
+            )
+        if has_lines or refuses:
             for side in range(4):
                 received[side] = line_brings[side]
                 copy_memory(brought[side], message[side])
-        if is_plausible:
-            for side in range(4):
-                if received[side]:
-                    copy_memory(message[side], brought[side])
-                    if not call_at(is_plausible, (checks, checks_count, brought_at + side * SIZE)):
-                        received[side] = False
-                        clear_memory(message[side])
-                        refused[i] += 1
         for side in range(4):
             says[side] = False
             clear_memory(draft_bits[side])

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bus.wire.message_type import bounded_list, leaves
 from cell_firmware.firmware import Inbox
+from cell_firmware.kernels import plausibility as kernels
 from cell_firmware.kernels.arguments import message_bytes
-from cell_firmware.kernels.plausibility import is_plausible
 from cell_firmware.program import NoParameters, Program
 from cell_firmware.refusals import plausibility_checks, refuse
 
@@ -91,12 +91,15 @@ def test_a_kernel_accepts_the_messages_that_a_program_accepts(ranges: dict[str, 
     checks = plausibility_checks(program)
     assert checks is not None
     data = message_bytes(messages)
-    found = [
-        [bool(is_plausible(checks.ctypes.data, len(checks), data[i, side].ctypes.data))]
-        for i in range(len(messages))
-        for side in range(4)
+    numbers = [
+        kernels.refuse(
+            checks.ctypes.data, len(checks), received.ctypes.data, data[i].ctypes.data, MESSAGE.itemsize
+        )
+        for i, received in enumerate(everything)
     ]
-    assert np.array(found).reshape(messages.shape).tolist() == kept.received.tolist()
+    assert everything.tolist() == kept.received.tolist()
+    assert messages.tobytes() == kept.message.tobytes()
+    assert numbers == refused.tolist()
     assert refused.tolist() == (~kept.received).sum(axis=1).tolist()
     assert 0.1 < kept.received.mean() < 0.95
 
