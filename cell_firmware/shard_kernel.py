@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Final, Protocol, TypeVar, final
 
 import numpy as np
@@ -202,7 +201,7 @@ class ShardKernel:
 
     def takes(self, state: ControllerState) -> bool:
         """Whether the kernel can step a state: if cells refuse messages, it must be able to check them."""
-        return REFUSALS not in state.parts or self._checks is not None
+        return REFUSALS not in state.parts or plausibility_checks(self._controller.firmware) is not None
 
     def is_bound(self, state: ControllerState, rows: Indices | None, outboxes: Sequence[Outboxes]) -> bool:
         """Whether these are the objects that the last step left, or that were bound since."""
@@ -447,16 +446,15 @@ class ShardKernel:
 
     def _bind_refusals(self, fields: dict[str, Any], state: ControllerState) -> None:
         """Have implausible messages refused, if the state has a part for their numbers."""
-        checks = self._checks
-        if REFUSALS not in state.parts or checks is None or not len(checks):
+        if REFUSALS not in state.parts:
+            return
+        checks = plausibility_checks(self._controller.firmware)
+        assert checks is not None, "this is a bug: a state that the kernel doesn't take"
+        if not len(checks):
             return
         fields["refuse"] = entry_address(refuse)
         fields["checks"], fields["checks_count"] = self._address(checks), len(checks)
         fields["refused"] = self._address(state.parts[REFUSALS][REFUSED])
-
-    @cached_property
-    def _checks(self) -> NDArray[Any] | None:
-        return plausibility_checks(self._controller.firmware)
 
     def _bind_sensors(self, fields: dict[str, Any]) -> None:
         debounce = self._debounce
