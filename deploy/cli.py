@@ -43,8 +43,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str]) -> int:
     from deploy.commands.application import application, fill_flag_values
+    from deploy.util.encodings import refusal_of, spell_unencodable
     from deploy.util.signals import Interrupted, Interruption
 
+    spell_unencodable()
+    if (refusal := refusal_of(arguments)) is not None:
+        sys.stderr.write(f"{refusal}\n")
+        return 2
     given = fill_flag_values(arguments)
     interruption = Interruption()
     try:

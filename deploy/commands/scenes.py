@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from typing import Annotated
 
 import typer
 
 from deploy.commands.options import JsonOption
 from deploy.scenes.files import bundled_names, load_scene, scene_text
+from deploy.util.encodings import print_utf8
 
 
 def scenes(
@@ -29,7 +29,7 @@ def scenes(
     elif as_json:
         print(json.dumps(load_scene(scene).model_dump(mode="json"), indent=2))
     else:
-        sys.stdout.write(scene_text(scene))
+        print_utf8(scene_text(scene))
 
 
 def _list(*, as_json: bool) -> None:

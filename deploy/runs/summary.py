@@ -192,8 +192,8 @@ class Summary:
         return finite(numbers)
 
     def to_json(self, indent: int | None = None) -> str:
-        """Return the JSON object as text."""
-        return json.dumps(self.to_dict(), indent=indent, allow_nan=False, ensure_ascii=False)
+        """Return the JSON object as ASCII text, which every stdout can hold."""
+        return json.dumps(self.to_dict(), indent=indent, allow_nan=False)
 
     def write(self, folder: str | Path) -> Path:
         """Write ``summary.json`` into the folder, whole or not at all.

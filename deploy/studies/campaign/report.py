@@ -209,7 +209,7 @@ class CampaignReport:
             "failed": failed,
             "rows": [row.as_json() for row in self.rows],
         }
-        return json.dumps(content, indent=indent, allow_nan=False, ensure_ascii=False, default=str)
+        return json.dumps(content, indent=indent, allow_nan=False, default=str)
 
     def to_csv(self) -> str:
         """A line a case."""
