@@ -277,18 +277,26 @@ class Board(Controller):
         NOW.tick, NOW.row, NOW.column, NOW.index = tick, cells.row, cells.column, -1
         if NOW.observe is not None:
             NOW.observe(tick, cells.row, cells.column, self.firmware, before, inputs)
+        checked: tuple[State, Outputs] | None = None
+        problem = trace = ""
         try:
             with drafting(self.firmware, self._draft):
                 result = self.firmware.step(before, inputs)
             NOW.row = None
-            state, outputs = _checked(result, before, self.firmware.message, n)
+            checked = _checked(result, before, self.firmware.message, n)
         except BaseException as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
             NOW.row = None
             problem, trace = _described(error)
-            if n == 1:
-                failed = FirmwareFailed(cells.name(0), tick, problem, trace)
-                return ProgramStep(before, np.zeros((1, 2)), None, {0: failed})
-            return self._one_by_one(tick, cells, before, inputs, f"{problem} (all {n} cells at once)", trace)
+        if (
+            checked is None
+        ):  # past the handler, or the tracebacks of cells stepped alone would begin with this one
+            if n > 1:
+                return self._one_by_one(
+                    tick, cells, before, inputs, f"{problem} (all {n} cells at once)", trace
+                )
+            failed = FirmwareFailed(cells.name(0), tick, problem, trace)
+            return ProgramStep(before, np.zeros((1, 2)), None, {0: failed})
+        state, outputs = checked
         speed, failures = _speeds(tick, cells, outputs)
         outbox, message = outputs.outbox, self.firmware.message
         if outbox is not None and message is not None and not self.firmware.refuses_misfits:
@@ -391,8 +399,10 @@ def _checked_state(state: Any, before: State | None, n: int) -> State:
 
 def _check_observed(firmware: Firmware, state: State) -> None:
     name = firmware.observable
-    if name is not None and name not in firmware.observables(state):
-        raise _BadOutput(f"observed is {name!r}, and there is no such variable in its state")
+    if name is not None and name not in (found := firmware.observables(state)):
+        raise _BadOutput(
+            f"observable is {name!r}: the state has no such variable; it has {', '.join(found) or 'none'}"
+        )
 
 
 def _check_fields(firmware: Firmware, state: State) -> None:

@@ -207,8 +207,17 @@ class Outbox:
 
     @staticmethod
     def to_all(message: np.dtype[Any] | None, **values: NDArray[Any]) -> Outbox:
-        """Return an outbox with one message to all sides: ``(n,)`` values by name of the message's fields."""
-        assert message is not None, "this is a bug: messages of firmware that has none"
+        """Return an outbox with one message to all sides: ``(n,)`` values by name of the message's fields.
+
+        Raises:
+            ValueError: There is no message type, or the names are not those of its fields.
+        """
+        if message is None:
+            raise ValueError("the firmware sends messages but declares no message type")
+        if set(values) != set(message.names or ()):
+            raise ValueError(
+                f"message has fields {sorted(values)}; its type has {sorted(message.names or ())}"
+            )
         n = len(next(iter(values.values())))
         outbox = Outbox(np.ones((n, 4), dtype=np.bool_), np.empty((n, 4), dtype=message))
         for name in message.names or ():

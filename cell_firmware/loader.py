@@ -23,6 +23,7 @@ from cell_firmware.errors import FirmwareError, ParametersError, Problem
 from cell_firmware.firmware import Firmware
 from cell_firmware.firmware_files import import_file
 from cell_firmware.hooks import guard, refusals
+from cell_firmware.scalar import constants_problem
 from cell_firmware.scalar_program import ScalarProgram
 from cell_firmware.specs import CellsSpec
 
@@ -179,12 +180,25 @@ def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
     program = PerCellAdapter(firmware) if isinstance(firmware, CellFirmware) else firmware
     if isinstance(program, ScalarProgram) and program.is_compiled() and spec.firmware not in BUNDLED:
         program.scalar_kernels()  # before anything starts: a step that can't be compiled is bad input
+    if isinstance(program, ScalarProgram):
+        _check_constants(program, spec.firmware)
     guard(program, spec.firmware)
     if spec.initial_registers:
         from cell_firmware.program_variables import set_initial
 
         set_initial(program, spec.initial_registers)
     return program
+
+
+def _check_constants(program: ScalarProgram, name: str) -> None:
+    """Refuse constants that are no record of their type: the step would read zeros, or numbers that were cut."""
+    with refusals(name, "constants()"):
+        constants = program.constants()
+    kind = program.constants_type
+    if constants == {} and kind == ScalarProgram.constants_type:
+        return
+    if problem := constants_problem(kind, constants):
+        raise FirmwareError(f"firmware {name!r}: constants() {problem}")
 
 
 def find(name: str, folder: Path | None = None) -> FirmwareClass:
@@ -223,7 +237,13 @@ def _checked(name: str, found: object) -> FirmwareClass:
         raise FirmwareError(f"firmware {name!r} is not a subclass of Firmware or CellFirmware")
     missing = sorted(getattr(found, "__abstractmethods__", ()))
     if missing:
-        raise FirmwareError(f"firmware {name!r} does not define {' and '.join(missing)}")
+        raise FirmwareError(
+            f"firmware {name!r} does not define {' and '.join(missing)}{_nearest(found, missing)}"
+        )
+    if isinstance(getattr(found, "parameters", None), type):
+        raise FirmwareError(
+            f"firmware {name!r}: the class of its parameters must be called Parameters, not parameters"
+        )
     if found.message is not None:
         _check_message(name, found.message)
     _check_random(name, found.random)
@@ -261,9 +281,10 @@ def _imported(name: str, module: str) -> ModuleType:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is not None and (module == error.name or module.startswith(f"{error.name}.")):
+            file = Path(*module.split(".")).with_suffix(".py")
+            path = f"its path: {file}:{name.partition(':')[2]}" if file.is_file() else "its path"
             raise FirmwareError(
-                f"firmware {name!r}: there is no module {error.name!r} to import "
-                "(a file can be given by its path)"
+                f"firmware {name!r}: there is no module {error.name!r} to import (a file can be given by {path})"
             ) from None
         raise _import_failed(name, error) from error
     except (Exception, SystemExit) as error:
@@ -294,15 +315,26 @@ def _imports(file: str) -> bool:
     return "importlib" in file or file in (__file__, firmware_files.__file__)
 
 
-def _defined(module: ModuleType) -> list[str]:
-    """Return the names of the firmware classes that a module defines itself."""
+def _nearest(found: type, missing: Sequence[str]) -> str:
+    """Return the methods that are perhaps the missing ones, misspelt."""
+    others = [one for one in vars(found) if not one.startswith("_") and one not in missing]
+    near = [
+        (nearest[0], one)
+        for one in missing
+        if (nearest := difflib.get_close_matches(one, others, n=1, cutoff=0.8))
+    ]
+    return "".join(f"; is {spelt} meant to be {one}?" for spelt, one in near)
+
+
+def _defined(module: ModuleType, *, abstract: bool = False) -> list[str]:
+    """Return the names of the firmware classes that a module defines itself; abstract ones lack a method."""
     return sorted(
         name
         for name, value in vars(module).items()
         if isinstance(value, type)
         and issubclass(value, Firmware | CellFirmware)
         and value.__module__ == module.__name__
-        and not inspect.isabstract(value)
+        and inspect.isabstract(value) is abstract
     )
 
 
@@ -312,7 +344,7 @@ def _offer(module: ModuleType) -> str:
 
 
 def _only_firmware(name: str, module: ModuleType) -> object:
-    names = _defined(module)
+    names = _defined(module) or _defined(module, abstract=True)
     if len(names) != 1:
         found = f"{len(names)} ({', '.join(names)}): name one, as in {name}:{names[0]}" if names else "none"
         raise FirmwareError(f"firmware {name!r}: expected one Firmware or CellFirmware class, found {found}")

@@ -50,7 +50,13 @@ class PlainMessages:
             TypeError, ValueError: The message is no mapping of the type's fields, or a field has another structure.
         """
         encoders = self._encoders
-        if message.keys() != encoders.keys():
+        try:
+            as_declared = message.keys() == encoders.keys()
+        except AttributeError:
+            raise TypeError(
+                f"message to the {side} must be a dict of {', '.join(encoders)}, not {message!r}"
+            ) from None
+        if not as_declared:
             raise ValueError(
                 f"message to the {side} has fields {sorted(message)}; its type has {sorted(encoders)}"
             )
@@ -107,7 +113,11 @@ class Sent:
             MessageValueError: A value doesn't fit its field.
             TypeError, ValueError: A message is not of the type.
         """
-        if not messages.keys() <= _SIDE_NUMBERS.keys():
+        try:
+            known = messages.keys() <= _SIDE_NUMBERS.keys()
+        except AttributeError:
+            raise TypeError(f"outbox must be a dict of messages by side, not {messages!r}") from None
+        if not known:
             side = next(one for one in messages if one not in _SIDE_NUMBERS)
             raise ValueError(f"outbox has a side {side!r}; sides are {', '.join(SIDES)}")
         last: Message | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any, ClassVar, Protocol, cast
 
@@ -123,6 +123,35 @@ def parameters_record(kind: np.dtype[Any], constants: Mapping[str, Any]) -> NDAr
     return record
 
 
+def constants_problem(kind: np.dtype[Any], constants: object) -> str | None:
+    """Return why values are no record of constants: missing and unknown fields, and values that fields would cut.
+
+    Args:
+        kind: Type of the record.
+        constants: What ``constants`` of a program returned.
+    """
+    fields = kind.names or ()
+    if not isinstance(constants, Mapping):
+        return f"must return a dict with the fields {', '.join(fields)}, not {type(constants).__name__}"
+    values: Mapping[str, Any] = constants  # pyright: ignore[reportUnknownVariableType]
+    if set(values) != set(fields):
+        return f"must have the fields {', '.join(fields)}; {_other_names(fields, values)}"
+    record = np.zeros((), dtype=kind)
+    for name in fields:
+        try:
+            with np.errstate(all="ignore"):
+                record[name] = values[name]
+            numbers = np.asarray(values[name]).dtype.kind in "fiub"
+        except (TypeError, ValueError, OverflowError):
+            numbers = False
+        base = (kind[name].subdtype or (kind[name],))[0]
+        if base.names is None and not numbers:
+            return f"{name} is {values[name]!r}: must be {kind[name]}"
+        if base.kind in "iub" and not np.array_equal(record[name], values[name]):
+            return f"{name} is {values[name]!r}: {kind[name]} would cut it to {record[name].tolist()}"
+    return None
+
+
 def state_problem(kind: np.dtype[Any], state: State) -> str | None:
     """Return why initial arrays are no state of records: missing and unknown fields, and values that fields would cut.
 
@@ -132,14 +161,7 @@ def state_problem(kind: np.dtype[Any], state: State) -> str | None:
     """
     fields = kind.names or ()
     if set(state) != set(fields):
-        missing = [name for name in fields if name not in state]
-        unknown = [name for name in state if name not in fields]
-        parts = [
-            f"{what} {', '.join(names)}"
-            for what, names in (("missing", missing), ("unknown", unknown))
-            if names
-        ]
-        return f"state must have the fields {', '.join(fields)}; {'; '.join(parts)}"
+        return f"state must have the fields {', '.join(fields)}; {_other_names(fields, state)}"
     for name in fields:
         base, shape = kind[name].subdtype or (kind[name], ())
         values = state[name]
@@ -161,3 +183,11 @@ def state_records(kind: np.dtype[Any], state: State, n: int) -> tuple[NDArray[An
         arrays[name] = field.view(np.bool_) if values.dtype == np.bool_ else field
         arrays[name][...] = values
     return records, arrays
+
+
+def _other_names(fields: Sequence[str], given: Mapping[str, Any]) -> str:
+    missing = [name for name in fields if name not in given]
+    unknown = [name for name in given if name not in fields]
+    return "; ".join(
+        f"{what} {', '.join(names)}" for what, names in (("missing", missing), ("unknown", unknown)) if names
+    )

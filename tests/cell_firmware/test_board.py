@@ -104,6 +104,7 @@ def test_array_firmware_that_fails_names_the_cell_and_tick_and_the_others_go_on(
     assert (failure.cell, failure.tick, failure.problem) == ((1, 2), 3, FAULTS[fault])
     if fault is raises:
         assert "in raises" in failure.trace
+        assert failure.trace.count("Traceback") == 1  # not that of all cells before it
         assert str(failure).startswith(
             "firmware of cell 1,2 failed in tick 3: ZeroDivisionError: one over nothing\n"
         )
@@ -253,6 +254,14 @@ def test_plain_firmware_steps_each_cell_once_a_tick_even_when_a_neighbour_raises
         (
             CellOutputs((0.0, 0.0), {"east": {"m": 1}}),
             "ValueError: message to the east has fields ['m']; its type has ['n']",
+        ),
+        (
+            CellOutputs((0.0, 0.0), {"east": 3}),
+            "TypeError: message to the east must be a dict of n, not 3",
+        ),
+        (
+            CellOutputs((0.0, 0.0), [1]),
+            "TypeError: outbox must be a dict of messages by side, not [1]",
         ),
         (
             CellOutputs((0.0, 0.0), {"east": {"n": 256}}),

@@ -85,7 +85,15 @@ def test_a_place_without_firmware_is_refused_with_the_reason(place: str, message
         ("1 / 0\n", "can't be loaded: ZeroDivisionError: division by zero\n"),
         ("import nothing_of_that_name\n", "can't be loaded: ModuleNotFoundError: .*nothing_of_that_name"),
         ("def broken(:\n", r"can't be loaded: SyntaxError: .*\(mine.py, line 1\)\n"),
-        (PLAIN.replace("def step", "def stepp"), "found none"),
+        (
+            PLAIN.replace("def step", "def stepp"),
+            r"firmware 'mine.py' does not define step; is stepp meant to be step\?",
+        ),
+        (PLAIN.replace("def step", "def go"), "firmware 'mine.py' does not define step$"),
+        (
+            PLAIN.replace("    def init", "    from mdms import Spec as parameters\n    def init"),
+            "the class of its parameters must be called Parameters, not parameters",
+        ),
         (
             PLAIN.replace("    def init", "    message = 3\n    def init"),
             "message must be an np.dtype, not int",
@@ -119,6 +127,17 @@ def test_a_class_that_lacks_a_method_is_refused_by_its_name(tmp_path: Path):
     name = write(tmp_path, PLAIN.replace("def step", "def stepp"))
     with pytest.raises(FirmwareError, match=r"'mine.py:Still' does not define step"):
         find(f"{name}:Still", tmp_path)
+
+
+def test_a_module_that_lies_here_as_a_file_is_named_by_its_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lying_here").mkdir()
+    write(tmp_path / "lying_here", PLAIN)
+    with pytest.raises(FirmwareError, match=r"can be given by its path: lying_here/mine.py:Still\)"):
+        find("lying_here.mine:Still")
+    assert find("lying_here/mine.py:Still").__name__ == "Still"
 
 
 def problems(firmware: str, parameters: dict[str, Any]) -> list[str]:

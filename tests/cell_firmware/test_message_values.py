@@ -1,5 +1,6 @@
 """Values that a message's field can't carry fail their cell, in every form of firmware, in the same words."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -228,3 +229,18 @@ def test_the_program_has_its_own_message_type_back_after_a_step() -> None:
     firmware = Raises(message, 1)
     assert stepped(firmware)[1].failures
     assert firmware.message is message
+
+
+@pytest.mark.parametrize(
+    ("message", "problem"),
+    [
+        (np.dtype([("n", "u1")]), "message has fields ['m']; its type has ['n']"),
+        (np.dtype([("m", "u1"), ("n", "u1")]), "message has fields ['m']; its type has ['m', 'n']"),
+        (None, "the firmware sends messages but declares no message type"),
+    ],
+)
+def test_an_outbox_of_other_fields_than_the_message_is_refused(
+    message: np.dtype[Any] | None, problem: str
+) -> None:
+    with pytest.raises(ValueError, match=re.escape(problem)):
+        Outbox.to_all(message, m=np.zeros(3))

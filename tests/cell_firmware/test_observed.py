@@ -81,7 +81,9 @@ class OnArrays(Firmware):
     "firmware", [OnArrays(NoParameters()), PerCellAdapter(Plain(lambda cell: {"height": 1.0}))]
 )
 def test_a_program_whose_state_has_no_such_variable_does_not_begin(firmware: Firmware) -> None:
-    with pytest.raises(FirmwareFailed, match="observed is 'level', and there is no such variable"):
+    with pytest.raises(
+        FirmwareFailed, match="observable is 'level': the state has no such variable; it has height"
+    ):
         Board(firmware).init(cells_of(LATTICE))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from cell_firmware.board import Board
 from cell_firmware.errors import FirmwareError, FirmwareFailed
 from cell_firmware.firmware import Cells
 from cell_firmware.loader import find, load
+from cell_firmware.scalar import constants_problem
 from cell_firmware.scalar_program import COMPARED_TICKS, PYTHON, ScalarProgram, run_in_python
 from cell_firmware.shard import Shard
 from cell_firmware.specs import CellsSpec
@@ -246,6 +248,50 @@ def test_an_initial_state_must_have_the_fields_of_the_records(
     with pytest.raises(FirmwareFailed) as caught:
         drives(shard(program(tmp_path, PROGRAM.replace(old, new), STEP="1")), 1)
     assert caught.value.problem == f"init: {problem}"
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ("None", "must return a dict with the fields gain, not NoneType"),
+        ('{"gian": 0.2}', "must have the fields gain; missing gain; unknown gian"),
+        ("{}", "must have the fields gain; missing gain"),
+        ('{"gain": "fast"}', "gain is 'fast': must be float64"),
+        ('{"gain": None}', "gain is None: must be float64"),
+        ('{"gain": [1.0, 2.0]}', "gain is [1.0, 2.0]: must be float64"),
+        ('{"gain": 1 / 0}', "raised ZeroDivisionError: division by zero"),
+    ],
+)
+def test_constants_must_be_those_of_their_type(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: str, problem: str
+) -> None:
+    monkeypatch.setenv(PYTHON, "1")
+    (tmp_path / "spread.py").write_text(PROGRAM.replace('{"gain": 0.2}', given).replace("STEP", "1"))
+    with pytest.raises(FirmwareError, match=re.escape(f"firmware 'spread.py': constants() {problem}")):
+        load(CellsSpec(firmware="spread.py"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "problem"),
+    [
+        ("<i8", 2, None),
+        ("<i8", 2.0, None),
+        ("<i8", 2.5, "n is 2.5: int64 would cut it to 2"),
+        ("u1", 300, "n is 300: must be uint8"),
+        ("u1", np.array(300), "n is array(300): uint8 would cut it to 44"),
+        ("<f4", 0.1, None),
+        (("<f8", (2,)), (0.0, 1.0), None),
+        (("<i8", (2,)), (0.0, 1.5), "n is (0.0, 1.5): ('<i8', (2,)) would cut it to [0, 1]"),
+        ([("x", "<f8")], (1.0,), None),
+    ],
+)
+def test_constants_are_never_cut(kind: Any, value: object, problem: str | None) -> None:
+    assert (
+        constants_problem(
+            np.dtype([("n", kind)] if not isinstance(kind, tuple) else [("n", *kind)]), {"n": value}
+        )
+        == problem
+    )
 
 
 def test_a_name_of_two_types_is_not_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

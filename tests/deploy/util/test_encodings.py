@@ -38,7 +38,7 @@ def mdms(monkeypatch: pytest.MonkeyPatch, encoding: str, *arguments: str) -> Pri
         status = cli.main(arguments)
     for stream in streams.values():
         stream.flush()
-    return Printed(status, *(stream.buffer.getvalue() for stream in streams.values()))  # pyright: ignore[reportAttributeAccessIssue]
+    return Printed(status, *(stream.buffer.getvalue() for stream in streams.values()))
 
 
 @pytest.fixture
