@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -159,6 +160,35 @@ def test_a_program_that_fails_in_this_process_ends_the_run_with_its_cell() -> No
     assert result.status == "failed"
     assert result.reason.startswith("the program of cell 0,1 failed in tick 0 (0 s): ")
     assert "ZeroDivisionError" in result.detail
+    with mdms.Simulation.open(scene) as simulation:  # stepped, the failure is no silent end
+        with pytest.warns(
+            RuntimeWarning, match=r"has ended, failed: the program of cell 0,1 failed in tick 0 \(0 s\)"
+        ):
+            assert simulation.step() is None
+        assert simulation.step() is None
+    assert "failed: the program of cell 0,1 failed in tick 0" in repr(simulation)
+
+
+def test_scenes_are_changed_by_text_as_on_the_command_line() -> None:
+    scene = mdms.load_scene("motors", ["parcels.0.mass_kg=3.5", "duration_s=0.25"])
+    assert (scene.parcels[0].mass_kg, scene.duration_s) == (3.5, 0.25)
+    assert mdms.load_scene({**SMALL, "duration_s": 1.0}, "duration_s=0.25").duration_s == 0.25
+    with pytest.raises(
+        mdms.InputError, match=r"mass_kg = -1: must be > 0 \(from --set parcels.0.mass_kg=-1\)"
+    ):
+        mdms.load_scene("motors", ["parcels.0.mass_kg=-1"])
+
+
+@pytest.mark.parametrize("given", ["motors", {"duration_s": 1.0}, None])
+def test_a_simulation_of_no_scene_says_where_scenes_come_from(given: Any) -> None:
+    with pytest.raises(mdms.InputError, match=r"must be a scene that mdms\.load_scene has returned"):
+        mdms.Simulation.open(given)
+
+
+@pytest.mark.parametrize("given", [3, None])
+def test_scenes_are_names_paths_or_tables(given: Any) -> None:
+    with pytest.raises(mdms.InputError, match=f"scene {given}: must be a bundled name, a path, or a dict"):
+        mdms.load_scene(given)
 
 
 def test_worker_processes_are_not_given_a_class_that_they_cannot_import() -> None:

@@ -70,8 +70,9 @@ def view(
     """
     if not 0 <= port < 65_536:
         raise InputError(f"--port {port}: must be a number from 0 to 65535")
-    from deploy.view.server import PageServer
+    from deploy.view.server import PageServer, check_port
 
+    check_port(port)
     source, end, on_open, folder = _open(subject, sets, seed, duration, realtime, connect, run, keys)
     try:
         server = PageServer(source, port, on_open)

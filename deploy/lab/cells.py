@@ -155,7 +155,7 @@ class CellsOnPlant:
             InputError: The scene is over.
         """
         del presence  # the plant's
-        record = self.simulation.step()
+        record = self.simulation.step(warns=False)
         if record is None:
             result = self.simulation.result
             if result is not None and result.last_losses:

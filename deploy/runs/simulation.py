@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
+import warnings
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, final
 
 from bus.errors import BusError
 from bus.state import load_state, save_state
-from deploy.errors import DeployError
+from deploy.errors import DeployError, InputError
 from deploy.runs.backends import CellsBackend, InProcess
 from deploy.runs.result import RunResult
 from deploy.runs.setup import camera_of, cell_times, load_plant, sensor_schema
 from deploy.scenes.fault_schedule import active, crash_wheel_policies, permanent_crashes
+from deploy.scenes.scene import Scene
 from deploy.util.formatting import say
 from plant.errors import PlantError
 from plant.process import PlantProcess
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
 
     from bus.fault import FaultInstance, FaultSpec
     from bus.lockstep.counters import Loss
-    from deploy.scenes.scene import Scene
     from plant.plant import Plant
     from plant.tick import LoopResult
 
@@ -78,11 +79,13 @@ class Simulation:
             pace: See ``plant.tick.RunClock``.
 
         Raises:
-            InputError: The plant refuses the scene.
+            InputError: It is no scene, or the plant refuses it.
             FirmwareError: The firmware can't be loaded or initialised.
             DeployError: A worker failed while it started.
             BusError: A shard was not ready in time.
         """
+        if not isinstance(scene, Scene):  # pyright: ignore[reportUnnecessaryIsInstance] - users aren't type-checked
+            raise InputError(f"scene {scene!r}: must be a scene that mdms.load_scene has returned")
         cells = InProcess() if cells is None else cells
         plant = load_plant(scene, say) if plant is None else plant
         sensors = sensor_schema(scene, plant.sense())
@@ -114,7 +117,11 @@ class Simulation:
         self.close()
 
     def __repr__(self) -> str:
-        state = "closed" if self._closed else f"at {self.time_s:g} of {self.scene.duration_s:g} s"
+        state = f"at {self.time_s:g} of {self.scene.duration_s:g} s"
+        if self._result is not None and not self._result.ok:
+            state += f", {self._result.status}: {self._result.reason}"
+        elif self._closed:
+            state = "closed"
         return f"<Simulation of {self.scene.name}, {len(self.plant.array)} cells, {state}>"
 
     @property
@@ -136,8 +143,12 @@ class Simulation:
         """Call more hooks around every tick, after those that are there."""
         self.process.hooks += hooks
 
-    def step(self) -> TickRecord | None:
+    def step(self, *, warns: bool = True) -> TickRecord | None:
         """Run one tick.
+
+        Args:
+            warns: Whether a run that ends here before its duration is over, as where a program fails, is a
+                ``RuntimeWarning`` too: a loop of steps would not notice it.
 
         Returns:
             Its record; None where the run is over: see ``result``.
@@ -155,6 +166,9 @@ class Simulation:
         self.process.report()
         if ended is not None:
             self._result = self._end(ended)
+            if warns and not self._result.ok:
+                why = f"{self._result.status}: {self._result.reason}"
+                warnings.warn(f"the simulation has ended, {why}", RuntimeWarning, stacklevel=2)
         return self._record
 
     def run(self) -> RunResult:

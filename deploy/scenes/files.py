@@ -57,24 +57,28 @@ def scene_text(scene: str) -> str:
         raise InputError(f"scene {scene}: must be UTF-8 text; byte {error.start} is not") from None
 
 
-def load_scene(scene: str | Path | Mapping[str, Any], overrides: Sequence[Override] = ()) -> Scene:
+def load_scene(scene: str | Path | Mapping[str, Any], overrides: Sequence[Override | str] = ()) -> Scene:
     """Read, override and validate a scene.
 
     Args:
         scene: A bundled name, a file, or the tables of a scene file as a dict, in which ``cells.firmware`` may be a
             class or a function too: see `cell_firmware.loader.name_of`.
-        overrides: Applied in order, before anything is validated.
+        overrides: Applied in order, before anything is validated; text is ``KEY=VALUE``, as ``--set`` takes it.
 
     Raises:
-        InputError: There is no such scene, or it is no TOML.
+        InputError: There is no such scene, it is no TOML, or an override is no ``KEY=VALUE``.
         SceneError: It is refused; all that is wrong with it, one line each.
     """
+    texts = [overrides] if isinstance(overrides, str) else overrides
+    changes = [Override.parse(one) if isinstance(one, str) else one for one in texts]
     if isinstance(scene, Mapping):
-        return _validated(_with_names(scene), "(a dictionary)", overrides)
-    scene = str(scene)
-    text = scene_text(scene)
-    folder = None if scene in bundled_names() else Path(scene).parent
-    return parse_scene(text, scene, overrides, folder)
+        return _validated(_with_names(scene), "(a dictionary)", changes)
+    if not isinstance(scene, str | Path):  # pyright: ignore[reportUnnecessaryIsInstance] - users aren't type-checked
+        raise InputError(f"scene {scene!r}: must be a bundled name, a path, or a dict of a scene's tables")
+    name = str(scene)
+    text = scene_text(name)
+    folder = None if name in bundled_names() else Path(name).parent
+    return parse_scene(text, name, changes, folder)
 
 
 def parse_scene(

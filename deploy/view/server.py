@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Final, final
 
@@ -25,6 +26,22 @@ _POLL_MS: Final = 40
 """Interval at which what a run has sent is taken, wall milliseconds."""
 _KEEP_MS: Final = 5_000
 """Time after which the session of a browser that left is dropped, wall milliseconds."""
+
+
+def check_port(port: int) -> None:
+    """Check that a page can be served at a port, before anything is started for the page.
+
+    Raises:
+        InputError: The port can't be used.
+    """
+    with socket.socket() as probe:
+        probe.setsockopt(
+            socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
+        )  # as the server does: not against ends of old pages
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            raise InputError(f"--port {port}: {error.strerror}") from None
 
 
 @final
