@@ -134,8 +134,15 @@ def problems_of(
             schema = schema or model.model_json_schema()
             known = _known_keys(schema, problem.path[:-1], data)
             problem = replace(problem, rule=f"unknown key; {nearest(str(problem.path[-1]), known)}")
-        problems.append(replace(problem, path=(*prefix, *problem.path)))
+        problem = replace(problem, path=(*prefix, *problem.path))
+        if _short_list(detail) and problems and problems[-1].path == problem.path:
+            problems.pop()  # pydantic lists every item that isn't there: the last says how many there must be
+        problems.append(problem)
     return problems
+
+
+def _short_list(detail: ErrorDetails) -> bool:
+    return detail["type"] == "missing" and isinstance(detail["loc"][-1], int)
 
 
 def _problem(detail: ErrorDetails, data: Any) -> Problem:
@@ -148,7 +155,7 @@ def _problem(detail: ErrorDetails, data: Any) -> Problem:
     value: Any = detail["input"]
     if kind == "missing":
         if isinstance(path[-1], int):
-            return Problem(path[:-1], "too few items", value)
+            return Problem(path[:-1], f"must have {plural(path[-1] + 1, 'item')}, not {len(value)}", value)
         return Problem(path, "required")
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         key = context["discriminator"].strip("'")
@@ -157,6 +164,8 @@ def _problem(detail: ErrorDetails, data: Any) -> Problem:
         known = [tag.strip().strip("'") for tag in context["expected_tags"].split(",")]
         return Problem((*path, key), f"unknown {key}; {nearest(str(context['tag']), known)}", context["tag"])
     rule = _RULES[kind](context) if kind in _RULES else detail["msg"]
+    if kind in ("tuple_type", "list_type") and isinstance(value, dict) and len(path) == 1:
+        rule = f"must be a list: in a file [[{path[0]}]], in double brackets, begins each of its tables"
     if kind in ("value_error", "assertion_error"):
         rule = str(context["error"])
     # A whole table does not fit a line, and the rule names what matters in it.

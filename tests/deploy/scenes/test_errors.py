@@ -78,7 +78,13 @@ def test_the_scene_these_tests_break_is_good() -> None:
         ("seed = 1", "seed = true", "seed = true: must be an integer"),
         ("seed = 1", "title = 7", "title = 7: must be text in quotes"),
         ("[0.54, 0.32]", "0.5", "parcels[0].size_m = 0.5: must be a list"),
-        ("[0.54, 0.32]", "[0.5]", "parcels[0].size_m = [0.5]: too few items"),
+        ("[0.54, 0.32]", "[0.5]", "parcels[0].size_m = [0.5]: must have 2 items, not 1"),
+        ("[0.54, 0.32]", "[]", "parcels[0].size_m = []: must have 2 items, not 0"),
+        (
+            "[[parcels]]",
+            "[parcels]",
+            "parcels: must be a list: in a file [[parcels]], in double brackets, begins each of its tables",
+        ),
         (
             "[0.54, 0.32]",
             "[1, 2, 3]",
