@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import Counter, deque
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, final
@@ -86,6 +87,9 @@ class Recorder:
             else:
                 self._file = self._continued(header, continued_from)
         except OSError as error:
+            with suppress(OSError):
+                if self.path.is_file() and not self.path.stat().st_size:  # begun here, on a full disk
+                    self.path.unlink()
             raise InputError(f"output {folder}: can't write {self.path.name} there: {_why(error)}") from error
         self._channels = self._file.channels
         self._counts = Counter(continued_from or {})

@@ -258,6 +258,17 @@ def test_a_folder_without_permission_is_refused_before_anything_starts(made_up_r
         Recorder("/proc/mdms", made_up_run().header)
 
 
+def test_a_disk_that_is_full_at_the_start_is_left_as_it_was(tmp_path: Path, made_up_run: Make) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        with pytest.raises(InputError, match=r"can't write recording\.mcap there: File too large"):
+            Recorder(tmp_path, made_up_run().header)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
 def test_a_disk_that_is_full_at_the_start_is_refused(tmp_path: Path, made_up_run: Make) -> None:
     (tmp_path / "recording.mcap").symlink_to("/dev/full")
