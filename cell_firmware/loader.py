@@ -172,7 +172,8 @@ def load(spec: CellsSpec, folder: Path | None = None) -> Firmware:
     found = find(spec.firmware, folder)
     with refusals(spec.firmware, "Parameters"):
         try:
-            parameters = found.Parameters.model_validate(spec.parameters)
+            own = found.Parameters.model_config.get("extra")  # else pydantic would ignore what is misspelt
+            parameters = found.Parameters.model_validate(spec.parameters, extra=own or "forbid")
         except ValidationError as error:
             raise ParametersError(spec.firmware, problems(error, found.Parameters, spec.parameters)) from None
     with refusals(spec.firmware, "__init__()"):
@@ -243,6 +244,11 @@ def _checked(name: str, found: object) -> FirmwareClass:
     if isinstance(getattr(found, "parameters", None), type):
         raise FirmwareError(
             f"firmware {name!r}: the class of its parameters must be called Parameters, not parameters"
+        )
+    parameters: object = found.Parameters
+    if not (isinstance(parameters, type) and issubclass(parameters, BaseModel)):
+        raise FirmwareError(
+            f"firmware {name!r}: Parameters must be a pydantic model, as a class derived from mdms.Spec is"
         )
     if found.message is not None:
         _check_message(name, found.message)

@@ -101,6 +101,7 @@ def _check(recording: Recording, cell: tuple[int, int], tick: int) -> None:
 def _scene(recording: Recording) -> Scene:
     from pydantic import ValidationError
 
+    from deploy.scenes.errors import problems_of
     from deploy.scenes.scene import Scene
 
     try:
@@ -108,7 +109,8 @@ def _scene(recording: Recording) -> Scene:
             recording.header["scene_name"]
         )
     except ValidationError as error:
-        raise InputError(f"{recording.path}: its scene is not one of this version: {error}") from None
+        why = "; ".join(map(str, problems_of(error, recording.header["scene"], Scene)))
+        raise InputError(f"{recording.path}: its scene can't be run: {why}") from None
 
 
 def _repeat(recording: Recording, scene: Scene, tick: int) -> None:

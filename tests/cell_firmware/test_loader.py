@@ -91,6 +91,10 @@ def test_a_place_without_firmware_is_refused_with_the_reason(place: str, message
         ),
         (PLAIN.replace("def step", "def go"), "firmware 'mine.py' does not define step$"),
         (
+            PLAIN.replace("    def init", "    Parameters = dict\n    def init"),
+            "Parameters must be a pydantic model, as a class derived from mdms.Spec is",
+        ),
+        (
             PLAIN.replace("    def init", "    from mdms import Spec as parameters\n    def init"),
             "the class of its parameters must be called Parameters, not parameters",
         ),
@@ -144,6 +148,18 @@ def problems(firmware: str, parameters: dict[str, Any]) -> list[str]:
     with pytest.raises(ParametersError) as caught:
         load(CellsSpec(firmware=firmware, parameters=parameters))
     return [str(problem) for problem in caught.value.problems]
+
+
+def test_parameters_of_any_pydantic_model_refuse_what_is_misspelt_unless_they_say_otherwise(tmp_path: Path):
+    model = "    class Parameters(__import__('pydantic').BaseModel{allows}):\n        gain: float = 1.0\n"
+    strict, open_ = (
+        write(tmp_path, PLAIN.replace("    def init", model.format(allows=allows) + "    def init", 1), name)
+        for allows, name in (("", "strict.py"), (", extra='allow'", "open.py"))
+    )
+    assert isinstance(load(CellsSpec(firmware=strict, parameters={"gain": 2.0}), tmp_path), PerCellAdapter)
+    with pytest.raises(ParametersError, match="gian: unknown key; did you mean gain"):
+        load(CellsSpec(firmware=strict, parameters={"gian": 2.0}), tmp_path)
+    assert isinstance(load(CellsSpec(firmware=open_, parameters={"gian": 2.0}), tmp_path), PerCellAdapter)
 
 
 def test_all_bad_parameters_are_reported_at_once_with_their_paths():

@@ -61,6 +61,19 @@ def test_a_program_that_has_changed_is_refused_with_tick_cell_and_drives(recorde
         program.write_text(GAMBLER)
 
 
+def test_a_program_that_is_gone_is_named_by_its_file(recorded: Path) -> None:
+    program = recorded.parent / "gambler.py"
+    program.unlink()
+    try:
+        with pytest.raises(
+            InputError,
+            match=r"its scene can't be run: cells.firmware: firmware '.*': there is no file .*gambler.py$",
+        ):
+            held_step(load(recorded), (1, 1), 20)
+    finally:
+        program.write_text(GAMBLER)
+
+
 @pytest.mark.parametrize(
     ("cell", "tick", "said"),
     [
