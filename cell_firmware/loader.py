@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -245,7 +245,7 @@ def _checked(name: str, found: object) -> FirmwareClass:
         raise FirmwareError(
             f"firmware {name!r}: the class of its parameters must be called Parameters, not parameters"
         )
-    parameters: object = found.Parameters
+    parameters = cast("object", found.Parameters)
     if not (isinstance(parameters, type) and issubclass(parameters, BaseModel)):
         raise FirmwareError(
             f"firmware {name!r}: Parameters must be a pydantic model, as a class derived from mdms.Spec is"

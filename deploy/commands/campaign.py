@@ -260,16 +260,17 @@ def campaign(
     }
     if resume is None:
         spec, text, folder = _new(given, output)
+        programs = None
     else:
         if output is not None:
             raise InputError(
                 f"--output {output}: --resume {resume} writes to its own folder; leave --output out"
             )
-        spec, text = _resumed(given, resume, other_versions=other_versions)
+        spec, text, programs = _resumed(given, resume, other_versions=other_versions)
         folder = resume
     with ExitStack() as locked:
         execution = _Execution(jobs, cluster, insecure=insecure, quiet=quiet)
-        report = _run(spec, text, folder, execution, locked, resumed=resume is not None)
+        report = _run(spec, text, folder, execution, locked, programs)
         _finish(report, picture=picture, as_json=as_json)
 
 
@@ -329,15 +330,18 @@ def _check_new(folder: Path) -> None:
         raise InputError(f"--output {folder}: holds a campaign already; --resume {folder} resumes it")
 
 
-def _resumed(given: dict[str, Any], folder: Path, *, other_versions: bool) -> tuple[CampaignSpec, str]:
+def _resumed(
+    given: dict[str, Any], folder: Path, *, other_versions: bool
+) -> tuple[CampaignSpec, str, dict[str, str]]:
+    """Return specification, scene and programs of a campaign that is gone on with."""
     from deploy.runs.output import versions
     from deploy.studies.campaign.spec import check_same, check_versions, read
 
-    spec, text, before = read(folder)
-    check_same(spec, given, folder)
+    stored = read(folder)
+    check_same(stored.spec, given, folder)
     if not other_versions:
-        check_versions(before, versions(), folder)
-    return spec, text
+        check_versions(stored.versions, versions(), folder)
+    return stored.spec, stored.scene, stored.programs
 
 
 def _run(
@@ -346,17 +350,20 @@ def _run(
     folder: Path | None,
     execution: _Execution,
     locked: ExitStack,
-    *,
-    resumed: bool,
+    programs: dict[str, str] | None,
 ) -> CampaignReport:
-    """Carry out a campaign; its folder is locked until ``locked`` closes."""
+    """Carry out a campaign; its folder is locked until ``locked`` closes.
+
+    ``programs`` are those that the campaign began with; None: it begins.
+    """
     import time
 
     from deploy.runs.output import run_name, versions
     from deploy.runs.setup import check_conditions, warnings_of
+    from deploy.scenes.fingerprint import program_fingerprint
     from deploy.studies.campaign.cases import cases_of
     from deploy.studies.campaign.runner import Campaign
-    from deploy.studies.campaign.spec import write
+    from deploy.studies.campaign.spec import check_programs, write
     from deploy.util.output_lock import OutputLock, locked_folder, new_folder
     from deploy.util.signals import Interruption
     from plant.solvers.thread_pool import processors
@@ -374,14 +381,16 @@ def _run(
             for line in dict.fromkeys(line for case in cases.cases for line in warnings_of(case.scene)):
                 notify(f"warning: {line}")
             cluster = _connect(execution, jobs, locked, notify)
+        own = {case.scene.cells.firmware: program_fingerprint(case.scene) for case in cases.cases}
         if folder is None:
             folder = new_folder(run_name(cases.scene, f"campaign-{time.strftime('%Y%m%d-%H%M%S')}"))
-        if resumed:
+        if programs is not None:
             locked.enter_context(OutputLock(folder, notify, named="--resume"))
+            check_programs(programs, own, folder)
         else:
             locked.enter_context(locked_folder(folder, notify))
             _check_new(folder)  # another may have begun one since
-            write(spec, text, versions(), folder)
+            write(spec, text, versions(), own, folder)
         return Campaign(spec, cases, folder, quiet=quiet).run(jobs, interruption, cluster)
 
 

@@ -34,7 +34,7 @@ def fingerprint(scene: Scene) -> dict[str, str]:
         "elementary functions": elementary.fingerprint(),
         "the plant's kernels": key(),
         "the scene": sha256(scene.canonical()).hexdigest(),
-        "the cells' program": _program(scene),
+        "the cells' program": program_fingerprint(scene),
     }
 
 
@@ -52,7 +52,7 @@ def cells_fingerprint(scene: Scene) -> dict[str, str]:
         "processor level": " ".join(level()).strip(),
         "elementary functions": elementary.fingerprint(),
         "the scene": sha256(scene.canonical()).hexdigest(),
-        "the cells' program": _program(scene),
+        "the cells' program": program_fingerprint(scene),
     }
 
 
@@ -106,12 +106,25 @@ def _short(value: Any) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
-def _program(scene: Scene) -> str:
-    """Return the hash of the file of the cells' program; empty where the program has no file."""
+def program_fingerprint(scene: Scene) -> str:
+    """Return the hash of the file of the cells' program, and of the files beside it that it imports.
+
+    Empty where the program has no file.
+    """
     from cell_firmware.cell import PerCellAdapter
+    from cell_firmware.firmware_files import modules_beside
     from cell_firmware.loader import load
 
     firmware = load(scene.cells)
     own = firmware.firmware if isinstance(firmware, PerCellAdapter) else firmware
     path = getsourcefile(type(own))
-    return "" if path is None else sha256(Path(path).read_bytes()).hexdigest()
+    if path is None:
+        return ""
+    text = Path(path).read_bytes()
+    beside = {
+        module.__name__.partition(".")[2]: Path(module.__file__).read_bytes()
+        for module in modules_beside(type(own).__module__)
+        if module.__file__ is not None and module.__name__ != type(own).__module__
+    }
+    parts = [text, *(name.encode() + b"\0" + sha256(beside[name]).digest() for name in sorted(beside))]
+    return sha256(b"".join(parts)).hexdigest()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, final
+from typing import Annotated, Any, NamedTuple, final
 
 from pydantic import Field, ValidationError
 
@@ -73,8 +74,17 @@ def read_options(given: dict[str, Any]) -> CampaignSpec:
         raise InputError("\n".join(lines)) from None
 
 
-def write(spec: CampaignSpec, scene: str, versions: dict[str, str], folder: Path) -> None:
+def write(
+    spec: CampaignSpec, scene: str, versions: Mapping[str, str], programs: Mapping[str, str], folder: Path
+) -> None:
     """Write the specification and the scene's text to the campaign's folder.
+
+    Args:
+        spec: The specification.
+        scene: The text.
+        versions: Versions of all that decides a run's bits, by name.
+        programs: Fingerprints of the cells' programs, by the name that scenes have for them.
+        folder: The campaign's.
 
     Raises:
         DeployError: It can't be written.
@@ -84,11 +94,22 @@ def write(spec: CampaignSpec, scene: str, versions: dict[str, str], folder: Path
     lines = ["# What was asked of `mdms campaign`; `mdms campaign --resume` reads it.", ""]
     lines += [f"{name} = {_toml(value)}" for name, value in said.items()]
     lines += ["", "[versions]", *(f"{name} = {_toml(value)}" for name, value in versions.items())]
+    lines += ["", "[programs]", *(f"{_toml(name)} = {_toml(value)}" for name, value in programs.items())]
     write_text(folder / FILE_NAME, "\n".join(lines) + "\n")
 
 
-def read(folder: Path) -> tuple[CampaignSpec, str, dict[str, str]]:
-    """Read the files of `write`: the specification, the scene's text, the versions.
+@final
+class Stored(NamedTuple):
+    """Files of `write`, as read: its arguments."""
+
+    spec: CampaignSpec
+    scene: str
+    versions: dict[str, str]
+    programs: dict[str, str]
+
+
+def read(folder: Path) -> Stored:
+    """Read the files of `write`.
 
     Raises:
         InputError: There is no campaign in the folder, or it can't be read.
@@ -100,9 +121,9 @@ def read(folder: Path) -> tuple[CampaignSpec, str, dict[str, str]]:
         raise InputError(f"--resume {folder}: no campaign there: {FILE_NAME} is missing") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"--resume {folder}: {FILE_NAME}: {error}") from None
-    versions = data.pop("versions", {})
+    versions, programs = data.pop("versions", {}), data.pop("programs", {})
     try:
-        return strictly(CampaignSpec, data), scene, dict(versions)
+        return Stored(strictly(CampaignSpec, data), scene, dict(versions), dict(programs))
     except ValidationError as error:
         lines = [f"--resume {folder}: {FILE_NAME}: {one}" for one in problems_of(error, data, CampaignSpec)]
         raise InputError("\n".join(lines)) from None
@@ -145,6 +166,20 @@ def check_versions(stored: dict[str, str], now: dict[str, str], folder: Path) ->
         raise InputError(
             f"--resume {folder}: versions have changed: {'; '.join(changed)}: runs may differ in their last bits; "
             "--other-versions resumes nevertheless"
+        )
+
+
+def check_programs(stored: Mapping[str, str], now: Mapping[str, str], folder: Path) -> None:
+    """Refuse to mix runs of different programs under one name; campaigns of before that stored none are not checked.
+
+    Raises:
+        InputError: Names the programs whose files have changed.
+    """
+    changed = [name for name, value in stored.items() if now.get(name, value) != value]
+    if changed:
+        raise InputError(
+            f"--resume {folder}: the program has changed since the campaign began: {', '.join(changed)}: "
+            "the table would mix runs of both; begin another campaign, or restore the file"
         )
 
 
