@@ -67,7 +67,7 @@ def sequence_figure(recording: Recording, cells: str | None, ticks: tuple[int, i
         ticks: First and last tick to draw; None: the first 12 traced.
 
     Raises:
-        InputError: The recording has no trace, or there are too many cells or ticks for a chart.
+        InputError: The recording has no trace of the cells or the ticks, or they are too many for a chart.
     """
     from matplotlib.figure import Figure
 
@@ -80,6 +80,10 @@ def sequence_figure(recording: Recording, cells: str | None, ticks: tuple[int, i
         recording.trace["cell"][0] if cells in (None, ALL) else select_cells(str(cells), names, "--cells")
     )
     shown = [names[int(cell)] for cell in chosen]
+    traced = [names[int(cell)] for cell in recording.trace["cell"][0]]
+    if not set(shown) & set(traced):
+        known = " ".join(f"{row},{column}" for row, column in traced[:_MOST_CELLS])
+        raise InputError(f"--cells {cells}: no message of these cells was traced, but of {known}")
     if len(shown) > _MOST_CELLS:
         raise InputError(
             f"--cells: a chart has room for {_MOST_CELLS} cells, not {len(shown)}; name some of them"
@@ -89,6 +93,9 @@ def sequence_figure(recording: Recording, cells: str | None, ticks: tuple[int, i
         raise InputError(
             f"--ticks {first}-{last}: a chart has room for {_MOST_TICKS} ticks, not {last - first + 1}"
         )
+    if last < recording.trace_tick[0] or first > recording.trace_tick[-1]:
+        span = f"{recording.trace_tick[0]} to {recording.trace_tick[-1]}"
+        raise InputError(f"--ticks {first}-{last}: the recording has a trace of the ticks {span}")
     messages = [
         one for one in recording.traced_messages(set(shown)) if _is_shown(one, set(shown), first, last)
     ]

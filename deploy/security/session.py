@@ -21,10 +21,12 @@ def operator_session(connect: str, timeout_s: float, keys: Path | None) -> Zenoh
         keys: Folder of the run's or the operator's keys; None if the run has none.
 
     Raises:
-        InputError: No plant listens there, the plant doesn't accept the keys, or the folder has no keys.
+        InputError: It is no endpoint, no plant listens there, it doesn't accept the keys, or the folder has no keys.
     """
     from bus.transports.zenoh import open_client
 
+    if "/" not in connect:
+        raise InputError(f"--connect {connect}: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
     if keys is None and connect.startswith("tls/"):
         raise InputError(f"{connect}: tls/ needs certificates: --keys DIR, the run's or the operator's")
     identity = None

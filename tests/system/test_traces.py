@@ -286,6 +286,14 @@ def test_the_command_traces_and_draws(counting: Path, capsys: pytest.CaptureFixt
         (["--kind", "sequence", "--ticks", "9-4"], "--ticks 9-4: must be a first and a last tick"),
         (["--kind", "sequence", "--cells", "7,7"], "--cells 7,7: the array has no such cell"),
         (["--kind", "sequence", "--ticks", "0-900"], "a chart has room for 200 ticks, not 901"),
+        (
+            ["--kind", "sequence", "--cells", "2,2 2,3"],
+            "--cells 2,2 2,3: no message of these cells was traced, but of 0,0 0,1 1,0 1,1",
+        ),
+        (
+            ["--kind", "sequence", "--ticks", "90-99"],
+            f"--ticks 90-99: the recording has a trace of the ticks 0 to {TICKS - 1}",
+        ),
         (["--kind", "spacetime", "--register", "x"], "--register x: must be one of firmware.count"),
         (["--kind", "phase", "--cells", "1,1"], "--cells: goes with --kind sequence or spacetime, not phase"),
         (

@@ -134,3 +134,10 @@ def test_a_request_goes_to_the_only_run_there_or_to_the_one_that_is_named(
         "mdms/two/plant/operator",
         "mdms/one/plant/status",
     ]
+
+
+def test_what_is_no_endpoint_is_refused_in_plain_words() -> None:
+    with pytest.raises(
+        InputError, match="^--connect here: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447$"
+    ):
+        ask_run("here", {"op": "list"}, 3.0)
