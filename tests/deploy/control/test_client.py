@@ -138,6 +138,6 @@ def test_a_request_goes_to_the_only_run_there_or_to_the_one_that_is_named(
 
 def test_what_is_no_endpoint_is_refused_in_plain_words() -> None:
     with pytest.raises(
-        InputError, match="^--connect here: must be PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447$"
+        InputError, match=r"^--connect here: must be PROTOCOL/ADDRESS, such as tcp/127\.0\.0\.1:7447$"
     ):
         ask_run("here", {"op": "list"}, 3.0)
