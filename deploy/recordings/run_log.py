@@ -191,9 +191,12 @@ class RunLog:
             self.warn(f"{line}; {then}")
 
     def note(self, losses: Sequence[Loss]) -> None:
-        """Log lost cells."""
+        """Log lost cells: a traceback once, for the first cell that has it, and its first line for the others."""
+        logged = {fault.get("detail") for fault in self.faults if isinstance(fault.get("detail"), str)}
         for loss in losses:
-            self._fault(loss.tick, loss.reason, loss.cell, loss.detail)
+            detail = loss.detail.partition("\n")[0] if loss.detail in logged else loss.detail
+            logged.add(loss.detail)
+            self._fault(loss.tick, loss.reason, loss.cell, detail)
 
     def on_rejoin(self, tick: int, cells: Sequence[int]) -> None:
         """Log cells that rejoin at ``tick``."""

@@ -10,7 +10,7 @@ from bus.partition import Partition
 from cell_firmware.board import Board
 from cell_firmware.build import MotorFacts
 from cell_firmware.cell import Cell, CellFirmware, CellInputs, CellOutputs, PerCellAdapter
-from cell_firmware.errors import FirmwareFailed
+from cell_firmware.errors import FirmwareFailed, NeverReturned
 from cell_firmware.firmware import Cells, Firmware, Inputs, Outbox, Outputs, State
 from cell_firmware.program import NoParameters
 
@@ -177,6 +177,34 @@ def test_a_state_without_a_row_per_cell_is_refused(
         Board(Odd(lambda *_: None)).init(everything(grid(2, 2)))
     assert caught.value.problem == problem
     assert caught.value.cell == (0, 0)
+
+
+@pytest.mark.parametrize("together", ["raises", "hangs"])
+def test_the_deadline_ends_the_search_for_cells_that_fail_unless_it_is_the_failure(
+    grid: Callable[..., Lattice], run: Callable[..., Any], together: str
+):
+    class Late(Faulty):
+        """Fails where all its cells are stepped; alone the third is interrupted, and those before it raise."""
+
+        def step(self, state: State, inputs: Inputs) -> tuple[State, Outputs]:
+            if len(inputs.presence) > 1:
+                raise ValueError("all") if together == "raises" else NeverReturned
+            if state["column"][0] == 2:
+                raise NeverReturned
+            if state["column"][0] < 2:
+                raise ValueError("alone")
+            return super().step(state, inputs)
+
+    result = run(Late(lambda *_: None), Partition.even(grid(1, 5), 1), 1)
+    found = {failure.cell: failure.problem for failure in result.failures}
+    alone = {(0, 0): "ValueError: alone", (0, 1): "ValueError: alone"}
+    if together == "raises":  # of the others no more is known
+        unknown = dict.fromkeys(((0, 2), (0, 3), (0, 4)), "ValueError: all (all 5 cells at once)")
+        assert found == alone | unknown
+        assert not result.drives.any()
+    else:
+        assert found == alone | {(0, 2): "cell_firmware.errors.NeverReturned: the program did not return"}
+        assert result.drives[0, 3:, 0].tolist() == [3.5, 4.5]
 
 
 def test_an_init_that_raises_for_one_cell_names_it(

@@ -161,3 +161,34 @@ def test_a_watch_for_signals_leaves_no_thread_and_no_request_behind() -> None:
     assert threading.active_count() == threads
     assert not stop.requested()
     assert signal.set_wakeup_fd(-1) == -1
+
+
+def test_a_traceback_that_all_cells_have_is_kept_once(tmp_path: Path) -> None:
+    (tmp_path / "fails.py").write_text("""
+from mdms import CellFirmware
+
+class Fails(CellFirmware):
+    def init(self, cell):
+        return cell.column
+
+    def step(self, state, inputs):
+        raise ValueError(state // 2)
+""")
+    array, cells = {"rows": 4, "columns": 4}, {"firmware": str(tmp_path / "fails.py")}
+    scene = _scene(duration_s=0.1, cells=cells, array=array, parcels__0__position_m=[0.0, 0.0])
+    options = RunOptions(output=tmp_path / "out", picture=False, processes=0, transport="memory")
+    summary = run(scene, options, quiet=True).summary
+    assert summary.status == "failed"
+    assert [fault["cell"] for fault in summary.faults] == [
+        [row, column] for row in range(4) for column in range(4)
+    ]
+    details = [fault["detail"].splitlines() for fault in summary.faults]
+    whole = [number for number, lines in enumerate(details) if "Traceback (most recent call last):" in lines]
+    assert whole == [0, 2]  # of a column each, the first of two with that number
+    assert [lines[0] for lines in details] == 4 * [
+        "ValueError: 0",
+        "ValueError: 0",
+        "ValueError: 1",
+        "ValueError: 1",
+    ]
+    assert [lines[-1] for lines in details] == [lines[0] for lines in details]
