@@ -230,9 +230,14 @@ class Lab(FaultInjection):
             ticks: Number of ticks.
 
         Raises:
+            InputError: The number is negative.
             FirmwareError: A program failed, and ``cells.on_failure`` of the scene is ``stop``.
             InvariantBroken: A condition of the program is broken.
         """
+        if ticks < 0:
+            raise InputError(
+                f"ticks {ticks}: must be at least 0; restore() goes back to what save() returned"
+            )
         cells, monitor = self._cells, self._monitor
         scheduled = callable(self._schedule) or isinstance(self._schedule, Mapping)
         for _ in range(ticks):
@@ -401,9 +406,17 @@ class Lab(FaultInjection):
 
 def _array(lattice: Cells) -> dict[str, Any]:
     """Return the array's table of a scene."""
-    if isinstance(lattice, tuple) and len(lattice) == 2 and all(isinstance(size, int) for size in lattice):
-        return {"rows": lattice[0], "columns": lattice[1]}
-    cells = lattice.cells if isinstance(lattice, Lattice) else tuple(cast("Iterable[CellName]", lattice))
+    if isinstance(lattice, Lattice):
+        lattice = lattice.cells
+    try:
+        sizes_or_cells = list(cast("Iterable[Any]", lattice))
+        if len(sizes_or_cells) == 2 and all(isinstance(size, int) for size in sizes_or_cells):
+            return {"rows": sizes_or_cells[0], "columns": sizes_or_cells[1]}
+        cells = [(row, column) for row, column in sizes_or_cells]
+    except (TypeError, ValueError):
+        raise InputError(
+            f"lattice {lattice!r}: must be (rows, columns), or the (row, column) of every cell"
+        ) from None
     if not cells:
         raise InputError("lattice: must have at least one cell")
     rows, columns = (1 + max(cell[axis] for cell in cells) for axis in (0, 1))

@@ -327,3 +327,21 @@ def test_conditions_are_due_later_where_messages_take_several_ticks(
     monkeypatch.setattr(ArrayView, "link_ticks", property(lambda _: 1, lambda *_: None), raising=False)
     early = Lab.of(late, check="count").step(2500).violations
     assert bool(early) == (protocol != "synchroniser")  # whose pulses need no more than they are given
+
+
+@pytest.mark.parametrize("lattice", [5, "2x3", [(0, 0), 3], [(0, 1, 2)], None])
+def test_what_is_no_lattice_is_refused(lattice: Any) -> None:
+    with pytest.raises(
+        InputError, match=r"lattice .*: must be \(rows, columns\), or the \(row, column\) of every cell"
+    ):
+        Lab(Counting, lattice=lattice)
+
+
+@pytest.mark.parametrize("lattice", [(2, 3), [2, 3], [(0, 0), (0, 1)]])
+def test_lattices_are_sizes_or_cells(lattice: Any) -> None:
+    assert len(Lab(Counting, lattice=lattice).lattice) == (2 if lattice[0] == (0, 0) else 6)
+
+
+def test_a_lab_does_not_step_back() -> None:
+    with pytest.raises(InputError, match="ticks -1: must be at least 0"):
+        Lab(Counting, lattice=(1, 2)).step(-1)
