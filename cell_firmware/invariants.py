@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any, Literal, cast, final
+from typing import Any, Final, Literal, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from cell_firmware.array_view import ArrayView, Violation
 from cell_firmware.errors import FirmwareError
 from cell_firmware.hooks import refusals
 from cell_firmware.program import Program
+
+_SHOWN: Final = 60
+"""Characters of a wrong value that an error shows."""
 
 
 def declares_invariants(program: Program) -> bool:
@@ -114,12 +117,13 @@ def _parsed(condition: Any, hook: str, cells: int) -> tuple[str, Any, int]:
     """
     wanted = "(rule, holds)" if hook == "invariants" else "(rule, holds, ticks)"
     if not (isinstance(condition, tuple) and len(condition) == wanted.count(",") + 1):  # pyright: ignore[reportUnknownArgumentType]
-        raise FirmwareError(f"{hook}() must yield {wanted}, not {condition!r}")
-    given: list[Any] = list(cast("tuple[Any, ...]", condition))
-    rule, ticks = given[0], given[2] if len(given) > 2 else 0
+        given = f"{len(condition)} values" if isinstance(condition, tuple) else repr(condition)[:_SHOWN]  # pyright: ignore[reportUnknownArgumentType]
+        raise FirmwareError(f"{hook}() must yield {wanted}, not {given}")
+    values: list[Any] = list(cast("tuple[Any, ...]", condition))
+    rule, ticks = values[0], values[2] if len(values) > 2 else 0
     if not isinstance(rule, str):
         raise FirmwareError(f"{hook}() must yield {wanted}, with a rule in words, not {rule!r}")
-    truth: NDArray[Any] = np.asarray(given[1])
+    truth: NDArray[Any] = np.asarray(values[1])
     if truth.dtype != np.bool_ or truth.shape not in ((), (cells,)):
         raise FirmwareError(
             f"{hook}(): {rule!r}: must be one truth value, or one for each of {cells} cells, not {truth.dtype} of "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 from pydantic import ValidationError
 
@@ -76,6 +76,7 @@ def cross_problems(
         problems += _firmware_problems(array, cells, effects)
         if array is not None:
             problems += _unfit_faults(array, cells, faults)
+            problems += _unplaced_registers(array, cells)
     return problems
 
 
@@ -130,6 +131,21 @@ def _unfit_faults(array: ArraySpec, cells: CellsSpec, faults: Mapping[int, Fault
         for number, fault in faults.items()
         if isinstance(fault, CellFault)
         for path, value, rule in fault.fit_problems(cells, len(array.sensors_m))
+    ]
+
+
+def _unplaced_registers(array: ArraySpec, cells: CellsSpec) -> list[Problem]:
+    """Find initial values of cells that don't exist: no cell would begin with them."""
+    lattice = array.lattice()
+    names = {f"{row},{column}" for row, column in lattice.cells}
+    return [
+        Problem(
+            ("cells", "initial_registers", name, cell), 'must be of a cell of the array, such as "3,4"', value
+        )
+        for name, given in cells.initial_registers.items()
+        if isinstance(given, Mapping)
+        for cell, value in cast("Mapping[str, Any]", given).items()
+        if cell not in names
     ]
 
 

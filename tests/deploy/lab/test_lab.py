@@ -345,3 +345,20 @@ def test_lattices_are_sizes_or_cells(lattice: Any) -> None:
 def test_a_lab_does_not_step_back() -> None:
     with pytest.raises(InputError, match="ticks -1: must be at least 0"):
         Lab(Counting, lattice=(1, 2)).step(-1)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("late", np.ones(2, np.bool_)), "2 values"),
+        (np.ones(900), r"array\(\[1., 1., .{1,60}$"),
+        (True, "True"),
+    ],
+)
+def test_a_condition_of_another_form_is_refused_in_a_line(given: object, said: str) -> None:
+    class Told(Counting):
+        def eventually(self, view: ArrayView) -> Any:
+            yield given
+
+    with pytest.raises(FirmwareError, match=rf"eventually\(\) must yield \(rule, holds, ticks\), not {said}"):
+        Lab(Told, (1, 2)).step()

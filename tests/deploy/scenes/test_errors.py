@@ -228,6 +228,12 @@ def test_the_scene_these_tests_break_is_good() -> None:
             "coefficient = 0.2\ncoefficient_s_per_m = 0.2",
             "friction.coefficient = 0.2: unknown key; nearest: coefficient_s_per_m",
         ),
+        # initial values
+        (
+            'firmware = "velocity_field"',
+            'firmware = "velocity_field"\ninitial_registers = { speed_m_s = { "3,4" = [0, 0], "20,3" = [0, 1] } }',
+            'cells.initial_registers.speed_m_s.20,3 = [0, 1]: must be of a cell of the array, such as "3,4"',
+        ),
         # the firmware's own
         (
             '"elliptic"',
