@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Callable, Generator
+from pathlib import Path
 from typing import Any
 
 from llvmlite import binding as _llvm  # pyright: ignore[reportMissingTypeStubs]
@@ -64,6 +66,16 @@ class KernelFunctionCache(caching.FunctionCache):
         _add_runtime_symbols()
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled function for later runs, unless the disk is full: this run has it all the same."""
+        try:
+            super().save_overload(sig, data)  # pyright: ignore[reportUnknownMemberType] - numba has no types
+        except OSError as error:
+            folder = Path(self.cache_path).parents[1]
+            warnings.warn(
+                f"compiled kernels can't be kept in {folder}: {error.strerror}", RuntimeWarning, stacklevel=1
+            )
 
 
 def _add_runtime_symbols() -> None:

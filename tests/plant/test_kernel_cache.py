@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
 from bus.kernel_cache import cache as kernel_cache
 from bus.kernel_cache.cache import KernelCache
+from bus.kernel_cache.locator import disk_cached
 from plant.kernels.common import cache
 from tests.plant.scenes import TICK_NS, study
 
@@ -220,6 +223,22 @@ def test_a_cache_that_cannot_be_written_is_replaced_for_the_process_and_removed_
     assert found["warm"] is False
     assert Path(str(found["path"])).parents[1] == tmp_path
     assert not Path(str(found["path"])).exists()
+
+
+def test_a_kernel_that_the_disk_has_no_room_for_is_compiled_and_used() -> None:
+    def more(x: int) -> int:
+        return x + 1
+
+    more.__module__ = "plant.kernels.more"
+    with disk_cached(more.__module__):
+        compiled = numba.njit(cache=True)(more)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        with pytest.warns(RuntimeWarning, match="compiled kernels can't be kept in .*: File too large"):
+            assert compiled(1) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_the_cache_goes_where_the_environment_says(tmp_path: Path) -> None:
