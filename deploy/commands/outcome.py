@@ -56,5 +56,9 @@ def report(outcome: Outcome, *, as_json: bool) -> int:
     if outcome.detail:
         sys.stderr.write(f"{outcome.detail.rstrip()}\n")
     if summary.status != "ok":
-        sys.stderr.write(f"mdms: {summary.status}: {summary.reason or 'no reason is known: this is a bug'}\n")
+        reason = summary.reason or "no reason is known: this is a bug"
+        status = (
+            "" if reason.startswith(f"{summary.status} ") else f"{summary.status}: "
+        )  # not "interrupted" twice
+        sys.stderr.write(f"mdms: {status}{reason}\n")
     return EXIT_STATUS[summary.status]

@@ -36,7 +36,7 @@ def test_a_signal_in_the_middle_of_a_run_ends_it_with_130_and_a_whole_recording(
     recording = load(running.output)
     assert status == 130
     assert summary["status"] == recording.status == "interrupted"
-    assert stderr.splitlines()[-1].startswith("mdms: interrupted: interrupted at ")
+    assert stderr.splitlines()[-1].startswith("mdms: interrupted at ")
     assert recording.tick[-1] == summary["ticks"] > 0
     assert recording.digest == summary["digest"]
 
