@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -14,7 +14,6 @@ from cell_firmware.components import BoardComponent, LinkDriver, MessageCounter,
 from cell_firmware.controller import Controller, ControllerOutputs, ControllerState, StepTime, read_only
 from cell_firmware.errors import FirmwareError, FirmwareFailed, NeverReturned
 from cell_firmware.firmware import (
-    Bools,
     Cells,
     Firmware,
     Floats,
@@ -22,20 +21,15 @@ from cell_firmware.firmware import (
     Outbox,
     Outputs,
     State,
+    can_settle,
     drafting,
 )
 from cell_firmware.message_drafts import array_draft
 from cell_firmware.message_tracer import TRACE, MessageTracer
-from cell_firmware.program_results import (
-    BadResult,
-    check_fields,
-    check_observable,
-    checked_result,
-    checked_state,
-)
+from cell_firmware.program_step import ProgramStep, step_one_by_one
 from cell_firmware.random_draws import CellStreams
 from cell_firmware.refusals import REFUSALS
-from cell_firmware.scalar import ScalarFirmware
+from cell_firmware.scalar import ScalarFirmware, state_problem
 from cell_firmware.stepping import NOW
 
 PROGRAM = "firmware"
@@ -57,24 +51,8 @@ def has_kernels(controller: Controller) -> bool:
     return isinstance(controller.firmware, ScalarFirmware) and controller.firmware.message is not None
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class ProgramStep:
-    """Validated result of a program's step.
-
-    Attributes:
-        state: The program's.
-        speed_m_s: ``(n, 2)``, finite.
-        outbox: Messages of the program; None if there are none at all.
-        failures: Failures by index of the cell.
-        served: ``(n,)``, whether the program served its watchdog; None: all did.
-    """
-
-    state: State
-    speed_m_s: Floats
-    outbox: Outbox | None
-    failures: dict[int, FirmwareFailed]
-    served: Bools | None = None
+class _BadOutput(Exception):
+    """Firmware returned something of the wrong kind; no row in particular is to blame."""
 
 
 @final
@@ -166,9 +144,9 @@ class Board(Controller):
         """
         n = len(cells)
         try:
-            program = read_only(checked_state(make(np.arange(n)), None, n))
-            check_observable(self.firmware, program)
-            check_fields(self.firmware, program)
+            program = read_only(_checked_state(make(np.arange(n)), None, n))
+            _check_observed(self.firmware, program)
+            _check_fields(self.firmware, program)
         except BaseException as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
             problem, trace = _described(error)
         else:
@@ -285,16 +263,19 @@ class Board(Controller):
             with drafting(self.firmware, self._draft):
                 result = self.firmware.step(before, inputs)
             NOW.row = None
-            checked = checked_result(result, before, self.firmware.message, n)
+            checked = _checked(result, before, self.firmware.message, n)
         except BaseException as error:  # noqa: BLE001 - whatever firmware raises becomes a named failure
             NOW.row = None
             (problem, trace), hung = _described(error), isinstance(error, NeverReturned)
-        if checked is None and n > 1:  # past the handler: tracebacks of cells alone would begin with this one
-            together = f"{problem} (all {n} cells at once)"
-            return self._one_by_one(tick, cells, before, inputs, together, trace, hung=hung)
-        if checked is None:
-            failed = FirmwareFailed(cells.name(0), tick, problem, trace)
-            return ProgramStep(before, np.zeros((1, 2)), None, {0: failed})
+        if checked is None:  # past the handler: tracebacks of cells stepped alone would begin with this one
+            failed = {i: FirmwareFailed(cells.name(i), tick, problem, trace) for i in range(n)}
+            together = ProgramStep(before, np.zeros((n, 2)), None, failed)
+            if n == 1:
+                return together
+            message = self.firmware.message
+            return step_one_by_one(
+                self.step_program, message, tick, cells, before, inputs, together, hung=hung
+            )
         state, outputs = checked
         speed, failures = _speeds(tick, cells, outputs)
         outbox, message = outputs.outbox, self.firmware.message
@@ -303,47 +284,6 @@ class Board(Controller):
             for i, problem in misfits.items():
                 failures.setdefault(i, FirmwareFailed(cells.name(i), tick, problem))
         return ProgramStep(state, speed, outbox, failures, outputs.served)
-
-    def _one_by_one(
-        self, tick: int, cells: Cells, before: State, inputs: Inputs, problem: str, trace: str, *, hung: bool
-    ) -> ProgramStep:
-        """Step every cell alone, to find the cells that fail.
-
-        The deadline of the tick ends the search, unless it was the deadline by which all cells failed together.
-        """
-        n = len(cells)
-        states: list[State] = []
-        speed = np.zeros((n, 2))
-        message = self.firmware.message
-        outbox = None if message is None else Outbox.empty(n, message)
-        failures: dict[int, FirmwareFailed] = {}
-        served = np.ones(n, dtype=np.bool_)
-        try:
-            for i in range(n):
-                row = np.array([i])
-                alone = {name: array[row] for name, array in before.items()}
-                done = self.step_program(tick, cells.select(row), alone, inputs.select(row))
-                if done.failures and not hung and _was_interrupted(done.failures[0]):
-                    break
-                states.append(done.state)
-                speed[i] = done.speed_m_s[0]
-                if outbox is not None and done.outbox is not None:
-                    outbox.sent[i] = done.outbox.sent[0]
-                    outbox.message[i] = done.outbox.message[0]
-                if done.failures:
-                    failures[i] = done.failures[0]
-                if done.served is not None:
-                    served[i] = done.served[0]
-        except NeverReturned:  # between the steps of two cells
-            if hung:
-                raise
-        if (
-            not failures or len(states) < n
-        ):  # on many and on no one alone, or of some it is unknown: trust none
-            unknown = {i: FirmwareFailed(cells.name(i), tick, problem, trace) for i in range(n)}
-            return ProgramStep(before, np.zeros((n, 2)), None, unknown | failures)
-        joined = {name: np.concatenate([state[name] for state in states]) for name in before}
-        return ProgramStep(joined, speed, outbox, failures, served)
 
 
 def _speeds(tick: int, cells: Cells, outputs: Outputs) -> tuple[Floats, dict[int, FirmwareFailed]]:
@@ -362,13 +302,80 @@ def _speeds(tick: int, cells: Cells, outputs: Outputs) -> tuple[Floats, dict[int
     return speed, failures
 
 
-def _was_interrupted(failure: FirmwareFailed) -> bool:
-    return failure.problem.partition(":")[0].endswith(NeverReturned.__name__)
+def _checked(result: Any, before: State, message: np.dtype[Any] | None, n: int) -> tuple[State, Outputs]:
+    """The result of a firmware's step, if it is of the right kind."""
+    if not (isinstance(result, tuple) and len(result) == 2):  # pyright: ignore[reportUnknownArgumentType]
+        raise _BadOutput(f"step must return (state, Outputs), not {type(result).__name__}")  # pyright: ignore[reportUnknownArgumentType]
+    state, outputs = result  # pyright: ignore[reportUnknownVariableType]
+    if not isinstance(outputs, Outputs):
+        raise _BadOutput(f"step must return (state, Outputs), not {type(outputs).__name__} as the second")  # pyright: ignore[reportUnknownArgumentType]
+    speed: Any = outputs.speed_m_s
+    if not isinstance(speed, np.ndarray) or speed.shape != (n, 2) or speed.dtype.kind not in "fiu":  # pyright: ignore[reportUnknownMemberType]
+        raise _BadOutput(f"speed_m_s must be real numbers of shape ({n}, 2), not {_kind(speed)}")
+    if outputs.outbox is not None:
+        _check_outbox(outputs.outbox, message, n)
+    served: Any = outputs.served
+    if served is not None and not _is_flags(served, (n,)):
+        raise _BadOutput(f"served must be None or bool of shape ({n},), not {_kind(served)}")
+    return _checked_state(state, before, n), outputs
+
+
+def _check_outbox(outbox: Any, message: np.dtype[Any] | None, n: int) -> None:
+    if message is None:
+        raise _BadOutput("the firmware sends messages but declares no message type")
+    if not isinstance(outbox, Outbox):
+        raise _BadOutput(f"outbox must be an Outbox, not {type(outbox).__name__}")
+    sent: Any = outbox.sent
+    if not _is_flags(sent, (n, 4)):
+        raise _BadOutput(f"outbox.sent must be bool of shape ({n}, 4), not {_kind(sent)}")
+    found: Any = outbox.message
+    if not isinstance(found, np.ndarray) or found.shape != (n, 4) or not can_settle(found.dtype, message):  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+        raise _BadOutput(f"outbox.message must be {message} of shape ({n}, 4), not {_kind(found)}")
+
+
+def _checked_state(state: Any, before: State | None, n: int) -> State:
+    if not isinstance(state, Mapping):
+        raise _BadOutput(f"state must be a mapping of names to arrays, not {type(state).__name__}")
+    if before is not None and state.keys() != before.keys():  # pyright: ignore[reportUnknownMemberType]
+        raise _BadOutput(f"state must hold {sorted(before)} as before, not {sorted(state)}")  # pyright: ignore[reportUnknownArgumentType]
+    arrays: Mapping[str, Any] = state  # pyright: ignore[reportUnknownVariableType]
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray) or array.ndim < 1 or len(array) != n:  # pyright: ignore[reportUnknownArgumentType]
+            raise _BadOutput(
+                f"state[{name!r}] must be an array with {n} rows, one a cell, not {_kind(array)}"
+            )
+    return arrays
+
+
+def _check_observed(firmware: Firmware, state: State) -> None:
+    name = firmware.observable
+    if name is not None and name not in (found := firmware.observables(state)):
+        raise _BadOutput(
+            f"observable is {name!r}: the state has no such variable; it has {', '.join(found) or 'none'}"
+        )
+
+
+def _check_fields(firmware: Firmware, state: State) -> None:
+    if isinstance(firmware, ScalarFirmware) and (
+        problem := state_problem(firmware.scalar_kernels().STATE, state)
+    ):
+        raise _BadOutput(problem)
+
+
+def _is_flags(value: Any, shape: tuple[int, ...]) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype == np.bool_ and value.shape == shape  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        array: NDArray[Any] = value  # pyright: ignore[reportUnknownVariableType]
+        return f"{array.dtype} of shape {array.shape}"
+    return type(value).__name__
 
 
 def _described(error: BaseException) -> tuple[str, str]:
     """The problem in a line, and the traceback where firmware raised."""
-    if isinstance(error, BadResult):
+    if isinstance(error, _BadOutput):
         return str(error), ""
     trace = "".join(traceback.format_exception(error))
     return _last_line(trace), trace

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.lattice import OPPOSITE, SIDES, Lattice
-from cell_firmware.board import Board, ProgramStep
+from cell_firmware.board import Board
 from cell_firmware.controller import read_only
 from cell_firmware.errors import FirmwareFailed
 from cell_firmware.firmware import Cells, Firmware, Inbox, Inputs, State
 from cell_firmware.message_values import values_of
+from cell_firmware.program_step import ProgramStep
 
 _CHANGES = 0.1
 """Probability that a reading changes from one tick to the next."""
