@@ -149,11 +149,11 @@ def test_a_signal_in_the_middle_of_a_run_ends_it(
 ) -> None:
     advance, calls = Plant.advance, [0]
 
-    def interrupted(plant: Plant, drives: Any, until_ns: int) -> Any:
+    def interrupted(plant: Plant, drives: Any, until_ns: int, **how: Any) -> Any:
         calls[0] += 1
         if calls[0] == 5:
             os.kill(os.getpid(), signal.SIGINT)
-        return advance(plant, drives, until_ns)
+        return advance(plant, drives, until_ns, **how)
 
     monkeypatch.setattr(Plant, "advance", interrupted)
     assert main(["effects", "motors", "--only", "motors", "--quiet"]) == 130
