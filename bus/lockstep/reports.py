@@ -126,13 +126,13 @@ class ReportReceiver:
 
     def drain_failed(self) -> list[tuple[str, Sequence[int]]]:
         """Return details and cells (indices) of reports on failures up to the current tick; each cell once."""
-        due = {cell: report for cell, report in self.failed.items() if report.tick <= self._now()}
-        for cell in due:
-            del self.failed[cell]
-        return [
-            (report.detail, [self._lattice.index(cell) for cell, one in due.items() if one == report])
-            for report in dict.fromkeys(due.values())
-        ]
+        now, due = self._now(), dict[int, tuple[str, list[int]]]()
+        for cell, report in self.failed.items():
+            if report.tick <= now:
+                # a report is one object for all of its cells: hashing it would take a time of their number for each
+                due.setdefault(id(report), (report.detail, []))[1].append(self._lattice.index(cell))
+        self.failed = {cell: report for cell, report in self.failed.items() if report.tick > now}
+        return list(due.values())
 
     def drain_busy(self, tick: int) -> set[int]:
         """Return shards that reported, since the last call, to be still computing ``tick``."""
