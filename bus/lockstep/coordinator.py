@@ -125,7 +125,9 @@ class Coordinator:
         )
         self._reported = ReportReceiver(partition, lambda: self._tick, self._membership.rejoins.on_ready)
         self._subscribe_shards("report", self._reported.handle, "urgent")
-        self._seen = RegisterReceiver(partition, wanted, self.counters, lambda: self._tick, self.lookahead)
+        self._seen = RegisterReceiver(
+            partition, wanted, self.counters, lambda: self._tick, lambda: self._drives.latest
+        )
         if wanted:
             self._subscribe_shards("registers", self._seen.handle)
         self._keeping: SnapshotCollector | None = None

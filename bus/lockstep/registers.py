@@ -274,7 +274,7 @@ class RegisterReceiver:
         wanted: Requests of the plant.
         counts: Counters to update.
         now: Returns the tick whose drives are gathered.
-        ahead: Ticks by which cells may be ahead of that.
+        latest: Returns the last tick whose senses were published, which cells may have computed.
     """
 
     def __init__(
@@ -283,9 +283,9 @@ class RegisterReceiver:
         wanted: Sequence[RegisterRequest],
         counts: MessageCounters,
         now: Callable[[], int],
-        ahead: int = 0,
+        latest: Callable[[], int],
     ) -> None:
-        self._ahead = ahead
+        self._latest = latest
         self._drained = -1
         self._partition = partition
         self._wanted = tuple(wanted)
@@ -311,8 +311,8 @@ class RegisterReceiver:
         again = frame.tick <= self._drained or (frame.tick, shard) in self._frames
         if frame.tick == self._shown and again:
             return
-        if frame.tick > now + self._ahead:
-            raise WireError("registers", "ahead", f"tick {frame.tick}: must be at most {now + self._ahead}")
+        if frame.tick > (latest := max(now, self._latest())):
+            raise WireError("registers", "ahead", f"tick {frame.tick}: must be at most {latest}, the last begun")
         if frame.tick < now:
             self._counts.late += 1
             return

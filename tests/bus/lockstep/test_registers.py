@@ -128,6 +128,24 @@ def test_the_plant_has_the_registers_of_a_tick_when_it_has_its_drives(network: N
     system.host.stop()
 
 
+def test_registers_of_a_tick_that_the_plant_has_begun_and_not_gathered_are_accepted(memory: Network):
+    system = pair(memory, RegisterRequest(1))
+    for tick in range(2):
+        system.host.publish(system.sense(tick))
+        for shard, member in enumerate(system.members):
+            member.gather(tick)
+            member.publish_registers(tick, lambda shard=shard, tick=tick: readings(system, shard, tick))
+            member.publish(system.drive(shard, tick), None)
+        if tick == 0:
+            system.host.gather(0)
+            system.host.drain_registers()
+    system.host._inbox.poll(0)  # as a plant does that ends between two ticks
+    assert not system.host.counters.malformed
+    assert system.host.drain_registers() == []
+    system.host.gather(1)
+    assert [one.tick for one in system.host.drain_registers()] == [1]
+
+
 def test_what_is_wanted_in_a_tick_is_all_that_anybody_wants():
     some, other, everything = (
         RegisterRequest(2, frozenset("a")),
