@@ -91,7 +91,9 @@ def _parts(layout: PayloadLayout, buffers: Mapping[str, NDArray[Any]]) -> list[b
     """Return what a payload consists of: constant bytes before each place, and what is in the place, or nothing yet."""
     parts, end = list[bytes | memoryview](), 0
     for name, (start, size) in layout.places.items():
-        parts += [layout.constant[end:start], b"" if name == "tick" else message_bytes(buffers[name]).data]
+        # without messages there are none in a payload, but links that could bring some
+        is_empty = name == "tick" or not size
+        parts += [layout.constant[end:start], b"" if is_empty else message_bytes(buffers[name]).data]
         end = start + size
     return [*parts, layout.constant[end:]]
 

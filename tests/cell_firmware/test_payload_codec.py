@@ -10,7 +10,7 @@ import pytest
 from bus.partition import Partition
 from bus.sensors import SensorSchema
 from bus.wire.format import RelayedLinks, RunSchema
-from bus.wire.formats import FORMATS
+from bus.wire.formats import FORMATS, WireFormat
 from bus.wire.frames import DriveFrame, LinkFrame, SenseFrame
 from bus.wire.message_type import bounded_list
 from cell_firmware import payload_codec
@@ -82,6 +82,22 @@ def test_drives_are_written_as_by_the_wire_format(is_large: bool, monkeypatch: p
         buffers.message["u"] = draw.normal(size=buffers.message.shape)
         frame, links = DriveFrame(tick, buffers.drive), LinkFrame(tick, buffers.sent, buffers.message)
         assert [side.codec.write(tick)] == side.member.drive_payloads(frame, links)
+
+
+@pytest.mark.parametrize("form", ["relayed", "packed"])
+@pytest.mark.parametrize("is_large", [False, True])
+def test_drives_of_programs_without_messages_are_written_as_by_the_wire_format(
+    form: WireFormat, is_large: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(payload_codec, "_LARGE", 0 if is_large else 1e9)
+    partition = Partition.even(grid(2, 3), 2)
+    schema = RunSchema("r", partition, SensorSchema(SENSORS, encoders=True), None)
+    member = FORMATS[form].participant(schema, 0)
+    buffers = TickBuffers.of(ShardLinks.of(partition, 0), np.dtype(np.bool_), SENSORS)
+    codec = PayloadCodec(member.layouts, buffers)
+    for tick in (0, 300):
+        buffers.drive[...] = np.random.default_rng(tick).normal(size=buffers.drive.shape)
+        assert [codec.write(tick)] == member.drive_payloads(DriveFrame(tick, buffers.drive), None)
 
 
 def _place(side: Side, name: str) -> int:

@@ -102,6 +102,31 @@ def test_the_digest_depends_neither_on_processes_nor_on_transport_nor_on_wire_fo
     assert len(set(digests.values())) == 1, digests
 
 
+HEAT = "cells.parameters={held=[{columns=[0, 9], speed_m_s=[0.05, 0.02]}]}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ("effects.motors={}",),
+        ("effects.motors={}", "effects.clock={}"),
+        ("effects.motors={}", "cells.firmware=heat_diffusion", HEAT),
+        ("cells.firmware=heat_diffusion", HEAT),
+    ],
+    ids=["motors", "clocks", "motors and messages", "messages"],
+)
+def test_so_it_is_with_payloads_of_thousands_of_cells(changes: tuple[str, ...], tmp_path: Path) -> None:
+    scene = load_scene("large", [Override.parse(change) for change in ("duration_s=0.03", *changes)])
+    ways: list[Way] = [
+        (0, "memory", "packed"),
+        (1, "zenoh", "packed"),
+        (2, "zenoh", None),
+        (2, "zenoh", "packed"),
+    ]
+    assert len({_run(scene, way, tmp_path).digest for way in ways}) == 1
+
+
 EVERYTHING = (
     "effects.analogue_sensors={ spot_radius_m = 0.02 }",
     "effects.adc={ noise_codes = 2.0 }",
