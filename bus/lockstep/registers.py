@@ -312,7 +312,9 @@ class RegisterReceiver:
         if frame.tick == self._shown and again:
             return
         if frame.tick > (latest := max(now, self._latest())):
-            raise WireError("registers", "ahead", f"tick {frame.tick}: must be at most {latest}, the last begun")
+            raise WireError(
+                "registers", "ahead", f"tick {frame.tick}: must be at most {latest}, the last begun"
+            )
         if frame.tick < now:
             self._counts.late += 1
             return
