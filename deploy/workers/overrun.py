@@ -27,6 +27,8 @@ _STUCK: Final = 6
 """Looks at the same program after its interruption, after which the program counts as uninterruptible."""
 _LAST: Final = 60
 """Looks after which the call is abandoned in any case."""
+_CHANCES: Final = 1000
+"""Turns of a loop, in each of which Python looks whether an error is pending."""
 
 
 @final
@@ -89,7 +91,7 @@ class Watchdog:
         with self._lock:
             self._running = 0
             if self._overran:
-                _raise_in(self._target, None)  # it came too late
+                _cancel_pending()  # it may have come too late
                 self._overran = False
 
     def close(self) -> None:
@@ -174,8 +176,24 @@ class _Blame:
         return self._looks
 
 
-def _raise_in(thread: int, error: type[BaseException] | None) -> None:
-    """Raise ``error`` in a thread as soon as Python code runs there; None: cancel a pending error."""
-    ctypes.pythonapi.PyThreadState_SetAsyncExc(
-        ctypes.c_ulong(thread), None if error is None else ctypes.py_object(error)
-    )
+def _raise_in(thread: int, error: type[BaseException]) -> None:
+    """Raise ``error`` in a thread as soon as Python code runs there."""
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(error))
+
+
+class _NotRaised(BaseException):
+    """Takes the place of an error that is pending in a thread."""
+
+
+def _cancel_pending() -> None:
+    """Cancel an error that is pending in the calling thread, if there is one.
+
+    Another one takes its place and is caught here. An error that is taken back instead would leave Python 3.11 looking
+    for it from then on, at every call, and without end in a function that a debugger or a profiler watches.
+    """
+    try:
+        _raise_in(threading.get_ident(), _NotRaised)
+        for _ in range(_CHANCES):
+            pass
+    except _NotRaised:
+        pass

@@ -95,11 +95,12 @@ class SpoiltMessages:
         self._number += 1
         header = self._spoilt_header() if self._number % 3 == 0 else HEADER
         file = McapFile(self._path, header, 1 << 18, schemas=binary_schemas(HEADER))
-        for i, (topic, time_ns, data) in enumerate(self._messages):
+        for i, message in enumerate(self._messages):
+            topic, data = message.topic, message.data
             # Another message of each file is spoilt.
             if topic in self._mutators and i % len(self._messages) == self._number % len(self._messages):
-                data = self._mutators[topic].next()  # noqa: PLW2901
-            file.add(file.channels[topic], time_ns, data)
+                data = self._mutators[topic].next()
+            file.add(file.channels[topic], message.time_ns, data)
         file.finish()
         return self._path
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -143,3 +146,28 @@ def test_an_interruption_that_comes_too_late_hits_nothing() -> None:
         ended = time.monotonic() + LIMIT_S
         while time.monotonic() < ended:
             pass
+
+
+WATCHED = """
+import sys
+from contextlib import closing
+from tests.deploy.workers.test_overrun import LIMIT_S, Slow, Watchdog, _shard, _step
+
+def called() -> None:
+    pass
+
+with closing(Watchdog(LIMIT_S, "a rule")) as overseer:
+    assert len(_step(_shard(Slow), overseer)) == 2
+for watch in (sys.setprofile, sys.settrace):
+    watch(lambda *_: None)
+    called()
+    watch(None)
+print("ok")
+"""
+
+
+def test_after_an_interruption_a_debugger_and_a_profiler_work() -> None:
+    """In a process of its own: where it fails, nothing but a kill ends it."""
+    command, root = [sys.executable, "-c", WATCHED], Path(__file__).parents[3]
+    ended = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=30, check=False)
+    assert (ended.stdout, ended.stderr, ended.returncode) == ("ok\n", "", 0)
