@@ -150,6 +150,7 @@ def test_the_compose_file_runs(place: Place) -> None:
 def test_the_manifests_of_kubernetes_run_and_a_plant_that_is_started_again_resumes(place: Place) -> None:
     pods = {pod.name: pod for pod in of_kubernetes()}
     assert set(pods) == {"router", "plant", "cells-0", "cells-1"}
+    place.write_scene(40.0)  # a probe takes a second, in which thousands of ticks pass
     archives(place)
     paths = {
         name: {
