@@ -105,6 +105,6 @@ class ChangeEncoded:
         found = np.empty((len(index), *like.shape), dtype=like.dtype)
         order = np.argsort(index, kind="stable")
         numbers, firsts = np.unique(index[order], return_index=True)
-        for number, rows in zip(numbers.tolist(), np.split(order, firsts[1:]), strict=True):
+        for number, rows in zip(numbers.tolist(), np.split(order, firsts)[1:], strict=True):
             found[rows] = part(values[number])
         return found

@@ -56,6 +56,9 @@ def test_they_are_the_same(
         np.testing.assert_array_equal(one.of(7), other.of(7))
         np.testing.assert_array_equal(one.of(7, some), other.of(7, some))
         np.testing.assert_array_equal(one.of(7), one.all()[:, 7])
+        nothing = np.array([], dtype=np.int64)
+        assert one.of(7, nothing).shape == other.of(7, nothing).shape == (0, *one.all().shape[2:])
+        assert [*one.each(nothing)] == [*other.each(nothing)] == []
         for instant in (0, 13, -1):
             np.testing.assert_array_equal(one.at(instant), other.at(instant))
         for a, b in zip(one.each(some), other.each(some), strict=True):
