@@ -57,8 +57,7 @@ def report(outcome: Outcome, *, as_json: bool) -> int:
         sys.stderr.write(f"{outcome.detail.rstrip()}\n")
     if summary.status != "ok":
         reason = summary.reason or "no reason is known: this is a bug"
-        status = (
-            "" if reason.startswith(f"{summary.status} ") else f"{summary.status}: "
-        )  # not "interrupted" twice
-        sys.stderr.write(f"mdms: {status}{reason}\n")
+        if not reason.startswith(f"{summary.status} "):  # "interrupted at 3 s" says it
+            reason = f"{summary.status}: {reason}"
+        sys.stderr.write(f"mdms: {reason}\n")
     return EXIT_STATUS[summary.status]
