@@ -98,6 +98,13 @@ def test_constant_wheels_are_written_once(tmp_path: Path, made_up_run: Make) -> 
     np.testing.assert_array_equal(recording.held_drives.at(30), run.drives[30])
 
 
+def test_constant_wheels_that_follow_constant_drives_are_written_twice(
+    tmp_path: Path, made_up_run: Make
+) -> None:
+    recording = load(made_up_run(ticks=50, wheels_follow=True).record(tmp_path))
+    assert len(recording.held_wheel_speeds.values) == 2  # before the first drives, and with them
+
+
 def test_wheels_that_return_to_an_earlier_speed_are_distinguished_from_wheels_that_stay(
     tmp_path: Path, made_up_run: Make
 ) -> None:
